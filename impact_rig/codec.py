@@ -174,12 +174,12 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
 
 
 def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
-    """Check that a table of any origin and version is valid for `topic`, and return it with all columns of that topic.
+    """Check that a table is valid for `topic`, and return it with all columns of that topic.
 
-    Every table that was not made in this process, received or read from a file, must pass this check. A column that an
-    earlier version did not have is filled with its default, and a number of a narrower type is widened. Further columns
-    (of a later version, or the channels of a scan) then follow after those of the topic. If nothing must be filled or
-    widened, the same table is returned, with its columns in their order.
+    Every table that was received or read from a file must pass this check. A missing column is filled with its default,
+    if the topic defines one. A number of a narrower type is widened. Columns that the topic does not define are kept,
+    after those of the topic. If nothing must be filled or widened, the same table is returned, with its columns in
+    their order.
 
     Args:
         table: the decoded table.
@@ -188,9 +188,9 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
             scan.
 
     Raises:
-        CodecError: a column without a default or one of `needs` is missing, or a column has a type that cannot be
-            widened to that of the topic, or contains a value that the topic does not allow. The message names topic,
-            column, value and the allowed values.
+        CodecError: a column without a default or one of `needs` is missing, a column has a type that cannot be widened
+            to that of the topic, or a value is not allowed. The message names topic, column, value and the allowed
+            values.
     """
     plan = _plan(topic, table.rows.dtype, needs)
     rows = table.rows if plan.fits else _fitted(table.rows, plan)
@@ -229,11 +229,11 @@ class _Plan:
 def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Plan:
     """Return the conversions and checks for tables of `topic` whose rows have the numpy type `found`.
 
-    `needs` are names of columns that are required in addition to those of the topic. All further columns are kept.
+    `needs` names required columns in addition to those of the topic. Columns unknown to the topic are kept.
 
     Raises:
-        CodecError: a column of `needs`, or one of the topic without a default, is missing, or a column has a type that
-            cannot be widened to that of the topic.
+        CodecError: a column of `needs`, or a column of the topic without a default, is missing. Also if a column has a
+            type that cannot be widened to that of the topic.
     """
     there = {name: found[name] for name in found.names or ()}
     kinds = [(column.name, np.dtype(column.kind)) for column in topic.fields]
@@ -318,11 +318,10 @@ def _decode(data: Buffer) -> Table:
 
 @attrs.frozen
 class _Head:
-    """Head of a serialised PointCloud2: the bytes between its stamp and its data (`content`), and what they mean.
+    """Head of a serialised PointCloud2: the bytes between its stamp and its data, and their meaning.
 
-    `end` is the offset of the data in the message. All messages of a stream of tables usually have the same head, so
-    `_decode` first compares it with the remembered head of a message of the same length, and parses it only if it
-    differs.
+    `content` has these bytes, and `end` is the offset of the data in the message. `_decode` remembers heads, because
+    the messages of one stream usually have the same head.
     """
 
     content: bytes
@@ -389,8 +388,7 @@ def header_stamp_ns(data: Buffer) -> int:
 def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
     """Return stamp [ns] and (positions, velocities, efforts) of a serialised `sensor_msgs/JointState`.
 
-    Each of the three is a one-dimensional array, which is empty if the message does not contain it. Whether their
-    lengths are equal is not checked.
+    Each of the three is a one-dimensional array, which is empty if the message does not contain it.
 
     Raises:
         CodecError: `data` is not a JointState in little-endian CDR.
@@ -420,17 +418,19 @@ def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
 
 
 def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, Any]:
-    """Return the leading members of a serialised message: path -> number, text, or tuple of two or more numbers.
+    """Decode the first members of a serialised message, and return their values by path.
+
+    A value is a number, a text, or a tuple of numbers for an array.
 
     Args:
         data: a message of any type that starts with `std_msgs/Header`.
-        members: path (a name for the result), primitive ROS type and count of each member, in the order of the message
-            and without a gap; the first is the seconds of the header stamp. A text must have the count 1, a negative
-            count means a sequence.
+        members: (path, primitive ROS type, count) of each member, in the order of the message and without a gap. The
+            path is the key in the result, and the count the length of an array (otherwise 1). The first member is the
+            seconds of the header stamp.
 
     Raises:
-        CodecError: as for `header_stamp_ns`, a member is a sequence, a `wstring` or an array of texts or has the count
-            0, or the message ends before it.
+        CodecError: as for `header_stamp_ns`, or the message ends before a member. Also if a member is a sequence
+            (negative count), a `wstring` or an array of texts, or has the count 0.
     """
     header_stamp_ns(data)  # rejects another byte order
     cursor, found = _Cursor(memoryview(data).cast("B"), _ORIGIN), dict[str, Any]()
@@ -466,8 +466,6 @@ def encode_text(content: str) -> bytes:
 def text(data: Buffer) -> str:
     """Return the content of a serialised `std_msgs/String` in little-endian CDR; the byte order is not checked.
 
-    A text of length 0, without even a NUL, counts as empty.
-
     Raises:
         CodecError: `data` is too short, or its text is not UTF-8 with a NUL at its end and no other NUL.
     """
@@ -476,7 +474,10 @@ def text(data: Buffer) -> str:
 
 @attrs.define
 class _Cursor:
-    """Reader of a CDR stream: raises a CodecError, which names the member `what`, instead of reading beyond the end."""
+    """Reader of a CDR stream, which raises a CodecError instead of reading beyond the end.
+
+    The error names the member `what`.
+    """
 
     view: memoryview
     position: int
@@ -574,9 +575,8 @@ def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.
 def _constant_parts(dtype: np.dtype[np.void], frame_id: str) -> tuple[bytes, bytes]:
     """Return the two parts of a PointCloud2 that all messages of this row type and frame have in common.
 
-    The first contains frame_id and height, the second the members from `fields` to `point_step`; the width stands
-    between them in the message. They are cached, because building them costs ten times as much as the rest of a
-    message.
+    The first part contains frame_id and height, the second the members from `fields` to `point_step`. In the message,
+    the width stands between the two parts.
     """
     if dtype.fields is None or not dtype.names:
         raise CodecError(f"rows must be a structured array with at least one column, got {dtype}")

@@ -138,7 +138,7 @@ def new_axes(
 
 
 def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
-    """Place one legend for several axes of a figure below the lowest of these axes, where it hides nothing.
+    """Place one legend for several axes of a figure below the lowest axes.
 
     Args:
         axis: lowest axes of the figure.
@@ -196,7 +196,7 @@ class Drawn:
 
     Args:
         name: name of the drawing, any text; `names.file_name` makes its file names from it.
-        figure: finished matplotlib figure: its texts are changed at once, as by `plain_texts`, and its SVG is made.
+        figure: finished matplotlib figure. The constructor changes its texts by `plain_texts`, and renders it as SVG.
         caption: sentence(s) below the drawing, which also serve as alternative text.
         lines: numbers that the drawing shows, for its CSV file.
     """
@@ -220,8 +220,8 @@ class Drawn:
     def inline(self) -> str:
         """Return the drawing as an `svg` element for an HTML page.
 
-        The theme's colours are CSS variables, and its identifiers begin with `identifier`. Its size is left to the
-        page: the element has no height, and its width, such as `316.8pt`, is in `data-width`.
+        The theme's colours are CSS variables, and all identifiers begin with `identifier`. The page sets the size: the
+        element has no height, and its width, such as `316.8pt`, is in the attribute `data-width`.
         """
         body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
         body = TAG.sub(self._of_page, body)
@@ -230,16 +230,16 @@ class Drawn:
     def _of_page(self, tag: re.Match[str]) -> str:
         """Return an SVG tag for use in an HTML page.
 
-        The theme's colours become CSS variables. Each identifier, and each reference to one, gets the prefix
-        `identifier`, so that drawings with different names have no identifier in common.
+        The theme's colours become CSS variables. Identifiers, and references to them, get the prefix `identifier`,
+        which avoids conflicts between drawings on one page.
         """
         return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.identifier}-", themed(tag[0]))
 
     def csv(self) -> str:
-        """Return the numbers of all `lines` as CSV text, which is empty if there are no lines.
+        """Return the numbers of all `lines` as CSV text; without lines, the text is empty.
 
-        After a row with the names of the columns, each row is one point: the label of its line (column `case`), then
-        its values. A column that the line does not have is left empty.
+        The first row has the names of the columns. Each further row is one point: the label of its line (column
+        `case`), then its values. Columns that the line does not have are empty.
         """
         columns = list(dict.fromkeys(name for line in self.lines for name in line.columns))
         text = io.StringIO()
@@ -286,12 +286,11 @@ def rendered(figure: Figure, kind: str, name: str) -> bytes:
 
 
 def plain_texts(figure: Figure) -> None:
-    """Change titles, labels and legends of a figure so that matplotlib draws them literally and within its width.
+    """Change the texts of a figure so that matplotlib draws them literally and within the figure's width.
 
-    They may contain names from outside, which matplotlib could read as formulas. Only the project's own symbols, such
-    as `$x_1$`, stay formulas. Very long texts are cut, and lines that are wider than the figure are wrapped. The
-    numbers at the axes, which matplotlib writes, are not changed. Call this before the layout of the figure is
-    computed.
+    Titles, labels and legends can contain names from outside, which matplotlib could read as formulas. Only the
+    project's own symbols, such as `$x_1$`, stay formulas. Very long texts are cut, and lines wider than the figure are
+    wrapped. The numbers at the axes are not changed. Call this before the layout of the figure is computed.
     """
     titles, labels, legends = [*figure.texts], [], [*figure.legends]
     for axis in figure.axes:

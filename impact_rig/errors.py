@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The exceptions of impact_rig, one type per kind of mistake, and functions that word their messages."""
+"""Exceptions of impact_rig, one type per kind of mistake, and functions that word their messages."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ LONGEST_WORD = 100  # longest word that is compared: the time grows with its len
 def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mean {}?", otherwise: str = "") -> str:
     """Return a hint to append to an error message about an unknown word.
 
-    The hint is `question` with its braces replaced by the word of `known` that is most similar to `word`, or
-    `otherwise` if none is similar.
+    The hint is `question`, in which the most similar word of `known` replaces the braces. If no word is similar, the
+    hint is `otherwise`.
     """
     close = difflib.get_close_matches(word[:LONGEST_WORD], list(known), n=1)
     return question.format(close[0]) if close else otherwise
@@ -49,7 +49,7 @@ class ImpactRigError(Exception):
 
 
 class ConfigError(ImpactRigError, ValueError):
-    """A configuration value, key or file is invalid; also a `ValueError`.
+    """Invalid configuration value, key or file; also a `ValueError`.
 
     The message names the key or file, and what is wrong: usually the value and the allowed range.
 
@@ -64,7 +64,7 @@ class ConfigError(ImpactRigError, ValueError):
 
 
 class CommandError(ImpactRigError, ValueError):
-    """A command was rejected, or the shaker tripped or stopped during a test; also a `ValueError`.
+    """Rejection of a command, or trip or stop of the shaker during a test; also a `ValueError`.
 
     The message names the value and the allowed range, or the state of the rig that excludes the command. After a
     rejection the shaker keeps its last valid state.
@@ -80,7 +80,7 @@ class CommandError(ImpactRigError, ValueError):
 
 
 class CodecError(ImpactRigError, ValueError):
-    """Bytes are not the ROS message that they should be, or a table cannot be encoded as one; also a `ValueError`.
+    """Invalid bytes of a ROS message, or table that cannot be encoded as a message; also a `ValueError`.
 
     The text of the error names the part of the message and the reason.
 
@@ -95,7 +95,7 @@ class CodecError(ImpactRigError, ValueError):
 
 
 class RecordingError(ImpactRigError, OSError):
-    """A run, or another file or directory of results, cannot be written or read; also an `OSError`.
+    """Failure to write or read a run, or another file or directory of results; also an `OSError`.
 
     Data that were already on disk are not changed. The message names the file, if one is concerned.
 
@@ -110,15 +110,15 @@ class RecordingError(ImpactRigError, OSError):
 
 
 class GoneError(ImpactRigError, RuntimeError):
-    """A rig or another node that this program uses has ended, or was replaced; also a `RuntimeError`.
+    """End or replacement of a rig or another node that this program uses; also a `RuntimeError`.
 
-    That process will not answer any further request. The message names the process and quotes the end of its log, or
-    it names the request that a rig did not answer.
+    The process will not answer any further request. The message names the process and quotes the end of its log, or it
+    names the request that a rig did not answer.
     """
 
 
 class SimulationError(ImpactRigError, RuntimeError):
-    """The simulation cannot continue; also a `RuntimeError`.
+    """Failure of the simulation, which cannot continue; also a `RuntimeError`.
 
     In a rig, the cause is a defect of the model, its tolerances or a contact law, never a command: please report it. In
     a study or fit, the message can instead ask for another start, value or configuration.
@@ -128,7 +128,7 @@ class SimulationError(ImpactRigError, RuntimeError):
 def describe(error: BaseException) -> str:
     """Return an unexpected error as text for users: `TYPE: MESSAGE (FILE:LINE)`.
 
-    FILE:LINE is where it was raised, left out if unknown.
+    FILE:LINE is the line of code that raised the error; it is left out if unknown.
     """
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""

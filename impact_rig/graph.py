@@ -49,8 +49,8 @@ def frame_prefix(namespace: str, given: str = "") -> str:
 
     Args:
         namespace: namespace of the rig node; `/left/rig` gives `left/rig/`.
-        given: configuration value `output.frame_prefix`. Unless empty, it replaces the namespace: it is returned
-            without leading slashes, which tf2 does not accept, so `/` gives no prefix. No slash is appended to it.
+        given: configuration value `output.frame_prefix`. Unless empty, it replaces the namespace, and is returned
+            without leading slashes, which tf2 does not accept. So `/` gives no prefix.
     """
     if given:
         return given.lstrip("/")
@@ -59,7 +59,7 @@ def frame_prefix(namespace: str, given: str = "") -> str:
 
 
 def clock_remapping(clock: str) -> tuple[str, str]:
-    """Return the remapping (from, to) that makes a node publish or follow the topic named by `clock`, not `/clock`.
+    """Return the remapping (from, to) by which a node publishes or follows the topic `clock` instead of `/clock`.
 
     ROS has one global `/clock`, but the rig times of two rigs differ. With the relative name `clock`, each namespace
     has its own clock topic.
@@ -80,9 +80,10 @@ The description that robot_state_publisher itself publishes gets another name, s
 
 
 class Situation(enum.StrEnum):
-    """Situation of a node, which decides the inputs that it accepts: its lifecycle state, with four cases of `active`.
+    """Situation of a node, which decides the inputs that the node accepts.
 
-    Only the rig node distinguishes the cases `PAUSED`, `LATCHED` and `PLUCKED`.
+    It is the lifecycle state of the node. For the rig node, the state `active` is divided into `RUNNING`, `PAUSED`,
+    `LATCHED` and `PLUCKED`.
     """
 
     UNCONFIGURED = "unconfigured"
@@ -256,7 +257,7 @@ class Node:
     def services(self) -> list[str]:
         """Return the services of the node as private names (`~/name`), without those of `ROS_SERVICES`.
 
-        The rig's include those of `SIMULATION_SERVICES`.
+        The services of the rig node include those of `SIMULATION_SERVICES`.
         """
         own = [service.name for service in SERVICES if service.node == self.name]
         return [*own, *(SIMULATION_SERVICES.values() if self.makes_time else ())]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""External names as plain data: the name of a study, run, channel, node or column never acts as a command.
+"""Conversion of external names to safe text: the name of a study, run, channel, node or column never acts as a command.
 
 Such a name comes from a file, the network or another program and may contain anything. Each kind of output has one
 function here; the template engine of `report.page` escapes HTML.
@@ -82,9 +82,8 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 def quoted(value: object) -> str:
     """Return a value as text for an error message: in Python's notation, cut off after 200 characters.
 
-    A NumPy number, alone or in lists or tuples, is written like any other: `0.5` instead of `np.float64(0.5)`. An
-    integer of magnitude 10^30 or more gives `a number too large to represent`; so does a value that contains one which
-    Python does not print.
+    NumPy numbers, also in lists or tuples, are written as plain numbers: `0.5` instead of `np.float64(0.5)`. An integer
+    of magnitude 10^30 or more gives the text `a number too large to represent`.
     """
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return TOO_LARGE
@@ -124,8 +123,8 @@ def file_name(text: str) -> str:
 def identifier(text: str) -> str:
     """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits, `_` and `-`, first a letter.
 
-    A text of this form is returned unchanged, unless it has a `-` at its end or several in a row. Any other text gets
-    the prefix `n-` and a digest at its end, so that different texts stay different.
+    A text that is a suitable identifier already is usually returned unchanged. Any other text gets the prefix `n-` and
+    a digest at its end, so that different texts stay different.
     """
     plain = re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")
     if plain == text and plain[:1].isalpha():
@@ -134,12 +133,10 @@ def identifier(text: str) -> str:
 
 
 def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
-    r"""Return a text for matplotlib, cut to `limit` characters, with dollar signs escaped unless they are harmless.
+    r"""Return a text that matplotlib draws literally, except for simple symbols such as `$x_1$`.
 
-    Matplotlib sets text between dollar signs as a formula. The project's own labels contain symbols such as `$x_1$`,
-    which it can always set; a text whose formulas are all of this kind stays unchanged. If the text, after the cut, has
-    another formula or a single dollar sign, all its dollar signs are escaped. A name from outside is then drawn
-    literally. Also after the cut, characters that do not print, except line feeds, are escaped (see `visible`).
+    The text is cut to `limit` characters. Its dollar signs are escaped unless every formula in the text is a simple
+    symbol. Characters that do not print, except line feeds, are escaped as well.
     """
     text = visible(text if len(text) <= limit else f"{text[: limit - 1]}…", lines=True)
     parts = _DOLLAR.split(text)
@@ -149,10 +146,10 @@ def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
 
 
 def csv_cell(value: object) -> object:
-    """Return the content of a CSV cell; a text that a spreadsheet would run as a formula gets an apostrophe before it.
+    """Return the content of a CSV cell, with an apostrophe before a text that a spreadsheet would run as a formula.
 
-    This also applies to the parts of a text after a `;`, tab or line end, where a spreadsheet may begin another cell.
-    Numbers, texts that are numbers, and single characters stay unchanged.
+    The apostrophe is also inserted into a text after a `;`, tab or line end, if the part that follows begins like a
+    formula. Numbers, texts that are numbers, and single characters stay unchanged.
     """
     if not isinstance(value, str):
         return value

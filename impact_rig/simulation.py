@@ -103,13 +103,11 @@ class Record:
         return f"DT {plus_minus(value, u)} (2u) at {self.measurements[-1]['frequency']:g} Hz"
 
     def plot(self, path: Path | str | None = None) -> Figure:
-        """Draw the readings of base, laser and accelerometer in the last half second against time.
-
-        Impacts that the analysis found are marked.
+        """Draw the last half second of base, laser and accelerometer readings against time, with detected impacts.
 
         Args:
-            path: file to write as well, in the format of its suffix (.png, .svg, .pdf, …), which replaces an existing
-                one; None writes none.
+            path: file to write as well, or None. Its suffix (.png, .svg, .pdf, …) selects the format. An existing file
+                is replaced.
 
         Returns:
             The figure.
@@ -142,8 +140,8 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
             measurement ends after about 12 s; a shorter run has no DT.
         parameters: configuration values that differ from the paper's rig, `section.key` -> value, as in
             docs/reference/configuration.md. Without values of the section `drive`, the drive is that of the paper: a
-            sine of 9.1 Hz and 0.52 A peak. With any of them, the others have their defaults; without
-            `drive.amplitude`, the rig is then not driven.
+            sine of 9.1 Hz and 0.52 A peak. If you give any value of this section, also give `drive.amplitude`, because
+            it is 0 by default.
 
     Returns:
         The readings and the measurements. `record.transmissibility` is DT with its standard uncertainty; both are NaN

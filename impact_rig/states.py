@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""State words for programs: the states of nodes on `/diagnostics`, and the statuses of a measurement.
+"""Words for programs: the states of nodes on `/diagnostics`, and the status, regime and method of a measurement.
 
 The message of a diagnostic status is a sentence for people and may change; programs must not parse it. Every status
-carries the keys of `KEYS`; `state` is one of the words below, the most severe that applies. Status, regime and method
-of a measurement are those of `transmissibility/table`; `docs/explanation/analysis.md` explains each. The level of a
-status (OK, WARN, ERROR) is not derived from its word: each node decides it in `ManagedNode.health`.
+carries the keys of `KEYS`. Its `state` is one of the words below, the most severe that applies. The words of a
+measurement are those of `transmissibility/table`; `docs/explanation/analysis.md` explains each. The level of a status
+(OK, WARN, ERROR) is not derived from its word: each node decides it in `ManagedNode.health`.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ BY_NODE: dict[str, type[NodeWord]] = {
 class Status(Word):
     """Status of a row of `transmissibility/table`, or of a free decay.
 
-    Only rows with one of the first six have DT and what belongs to it; in the others these columns are NaN.
+    Only rows with one of the first six statuses (`MEASURED`) contain DT. In other rows, DT and related columns are NaN.
     """
 
     OK = "ok", "DT of a settled response was measured."

@@ -11,13 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The table of topics: name, type, quality of service, publisher and content of each.
+"""Table of the ROS topics: name, type, quality of service, publisher and content of each topic.
 
-Publishers, subscribers, recordings, the analysis of runs and `docs/reference/interface.md` use this table; nothing
-about a topic is written twice. One value depends on the configuration of a rig: the queue length of the topics of
-`BULKY`, see `nodes.publishers.Publishers`. The table needs no ROS: `impact_rig.nodes.messages` converts its rows for
-rclpy. Names are relative, so a launch file can put them under one namespace. Only `/diagnostics` and `/clock` are
-global by convention.
+Publishers, subscribers, recordings, the analysis of runs and `docs/reference/interface.md` use this table. It needs no
+ROS: `impact_rig.nodes.messages` converts it for rclpy. The names are relative to a rig's namespace, except
+`/diagnostics` and `/clock`. The queue length of the topics in `BULKY` depends on the configuration of the rig.
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ class Qos(enum.Enum):
 
     @property
     def depth(self) -> int:
-        """Number of messages kept for a slow subscriber, and for a late one if the topic is `transient_local`."""
+        """Number of messages kept for a slow subscriber, or for a late subscriber of a `transient_local` topic."""
         return self.value[0]
 
     @property
@@ -282,17 +280,17 @@ PLOT_PULSES = _extremes(
 
 
 def envelope(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's envelope: its least, largest and rms value in each 20 ms, for plotters.
+    """Return the topic of a channel's envelope, for plotters.
 
-    The stamp of a message is that of the first scan of its 20 ms.
+    A message has the least, largest and rms value of the channel in 20 ms. Its stamp is that of the first scan.
     """
     return _extremes(channel, unit, "every scan of an interval of 20 ms in three numbers; stamp = its first scan.")
 
 
 def spectrum(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's spectrum of peak amplitudes over the last 4 s, once a second, for plotters.
+    """Return the topic of a channel's amplitude spectrum, for plotters.
 
-    The frequencies end at 250 Hz. The stamp of a message is that of its last scan.
+    Once a second, a message has the peak amplitudes of the last 4 s, up to 250 Hz. Its stamp is that of its last scan.
     """
     return Topic(
         f"plot/spectrum/{channel}",

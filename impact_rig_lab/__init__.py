@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Live laboratory: a web page that shows motion and measurements of a live or recorded rig, and controls a live one.
+"""Live laboratory: a web page that shows motion and measurements of a live or recorded rig, and controls a live rig.
 
     browser ◄─ WebSocket ─► server, sessions ─► source: live (gateway, subscriptions) or playback (run players)
 
 A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state of the rig. The server has a
-session for each open page, which sends the browser what the page requests, but never faster than the browser can draw
-it. No source waits for a browser.
+session for each open page. The session sends the browser what the page requests, but never faster than the browser can
+draw. No source waits for a browser.
 """

@@ -141,8 +141,8 @@ def add_command(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run `impact-rig lab`: start or open what the page shows, and serve the page until Ctrl-C.
 
-    The function returns only when the program that reads its standard output has ended, with the exit code of SIGPIPE;
-    Ctrl-C raises an exception.
+    Ctrl-C raises an exception. The function returns only if the reader of the standard output has ended. The result is
+    then the exit code of SIGPIPE.
 
     Raises:
         ImpactRigError: options contradict each other or are invalid, a run or a folder of `--branches` cannot be read,
@@ -188,10 +188,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_combination(arguments: argparse.Namespace) -> None:
-    """Check that at most one of RUN, `--sample` and `--attach` is given, and no option that has no effect with it.
+    """Check that at most one of RUN, `--sample` and `--attach` is given, and no option without effect.
 
     Raises:
-        ImpactRigError: several of them are given, or an option has another value than its default and no effect.
+        ImpactRigError: several of them are given, or an option that has no effect differs from its default.
     """
     given = {"RUN": arguments.runs, "--sample": arguments.sample, "--attach": arguments.attach}
     sources = [name for name, value in given.items() if value]
@@ -215,10 +215,9 @@ def _say_where(source: Any, new: Callable[[], set[Path]]) -> None:
     """Print the directory of the last recording of a live source, if there is one.
 
     Args:
-        source: what the page showed; None if the program has failed before it had a source.
-        new: function that returns the recordings that have appeared since the start, if this lab records from the
-            start. The newest of them is printed if the lab ended before the recorder, which reports its directory once
-            a second, has reported one.
+        source: source of the page; None if the program has failed before it had a source.
+        new: function that returns the recordings made since the start. The newest of them is printed if the source does
+            not know its recording.
     """
     directory = getattr(source, "directory", None) or max(new(), default=None)
     if directory is not None:
@@ -261,7 +260,7 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
 
 def _check_writable(directory: Path) -> None:
-    """Check before the start that the recorder can write to the directory `--output`, and create it if needed.
+    """Create the directory `--output` if needed, and check that the recorder can write to it.
 
     Raises:
         ImpactRigError: the directory cannot be created or written to.
@@ -276,7 +275,7 @@ def _check_writable(directory: Path) -> None:
 def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:
     """Reserve a ROS namespace for this lab, and check that no rig uses the namespace yet.
 
-    If locks cannot be used on this machine, nothing is reserved or checked.
+    Without usable file locks on this machine, nothing is reserved or checked.
 
     Args:
         domain: ROS domain.

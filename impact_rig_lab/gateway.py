@@ -14,12 +14,10 @@
 """Connection of the lab to one running rig over ROS: subscriptions to its topics, and the actions that pages request.
 
 Actions are coroutines of one event loop, so STOP is sent even while another action waits. An action belongs to the
-activation of the rig for which it was requested. If that rig is gone, the action is rejected and never reaches a later
-rig.
+activation of the rig for which it was requested. If that rig is gone, the action is rejected.
 
-Blocks of scans and joint states arrive hundreds of times per second. They do not wake the loop each time: `take`
-fetches them in batches, and only while a page is open. If a queue overflows between two batches, only pictures are
-lost.
+Blocks of scans and joint states arrive hundreds of times per second. `take` fetches them in batches, and only while a
+page is open. If a queue overflows between two batches, only pictures are lost.
 """
 
 from __future__ import annotations
@@ -145,7 +143,10 @@ class OwnedProcesses:
         self._starter.shutdown()
 
     def ended(self, node: str) -> str:
-        """Return a text on how the process of a node has ended; empty if it is running, or the lab did not start it."""
+        """Return how the process of a node has ended, as text.
+
+        The text is empty if the process is running, or if the lab did not start it.
+        """
         process = self.processes.running.get(node)
         code = None if process is None else process.exit_code
         return "" if code is None else f"its process ended with code {code}"
@@ -218,8 +219,8 @@ class Gateway:
 
         Args:
             scans: whether to receive scans, commanded samples and detected impacts.
-            motion: whether to receive the true motion as well, if `scans` is true. If it becomes false while the motion
-                is received, the motion received so far is forgotten.
+            motion: whether to receive the true motion as well; this requires `scans`. A change from true to false also
+                discards the motion received so far.
         """
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
         for topic in self._samples.keys() - wanted:
@@ -234,8 +235,8 @@ class Gateway:
     def take(self) -> bool:
         """Pass the scans and motion received since the last call to the record; return whether there were any.
 
-        They are dropped, but count as received, while the stamp of scan 0 of a new rig is unknown. At most
-        `MOST_PER_LOOK` messages per topic are taken in a call; the others remain for the next one.
+        A call processes at most `MOST_PER_LOOK` messages per topic. Further messages remain for the next call. While
+        the stamp of scan 0 of a new rig is unknown, messages are dropped, but count as received.
         """
         received = False
         for topic, subscription in self._samples.items():
@@ -249,7 +250,7 @@ class Gateway:
         return received
 
     def seen(self, node: str) -> Seen:
-        """Return the last report of the node `node` in the diagnostics, with its age, and how its process has ended.
+        """Return the last report of a node in the diagnostics, with its age, and how its process has ended.
 
         If the node has not reported yet, the age is None.
         """
@@ -327,10 +328,11 @@ class Gateway:
         running.task.cancel()
 
     def _gone(self, instance: str | None) -> str:
-        """Return the reason why the rig of an action is gone; empty if the rig is there, or the action is for any rig.
+        """Return the reason why the rig of an action is gone; empty if the rig is there.
 
         Args:
-            instance: identifier of the activation of the rig for which the action was requested; None means any rig.
+            instance: identifier of the activation of the rig for which the action was requested; None means any rig,
+                and the result is empty.
         """
         if instance is None:
             return ""
@@ -496,9 +498,9 @@ class Gateway:
         return case_of(value) + await self._label(value)
 
     async def _label(self, gap_m: float) -> str:
-        """Set the gap [m] with which the analysis labels its measurements.
+        """Set the gap [m] with which the analysis labels its measurements, and return an addition to the answer.
 
-        Returns an addition to the answer for the page: empty, or a clause that says that no analysis is running.
+        The addition is empty, or says that no analysis is running.
         """
         if not self.seen("analysis").lives:
             return "; no analysis is running, so that no measurement is labelled with this gap"
@@ -563,17 +565,18 @@ class Gateway:
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine or a phase lock on the rig with its present amplitude.
+        """Start a stepped sine or a phase lock on the rig with the present amplitude of its drive.
 
-        A drive by current gets 0.52 A if its amplitude is 0 or unknown.
-        If the node that runs it is absent, a lab that has started the rig starts this node first.
+        If the amplitude of a current drive is 0 or unknown, the sweep uses 0.52 A. If the stepped-sine node is absent,
+        a lab that has started the rig starts this node first.
 
         Args:
-            frequencies: frequencies of the points [Hz], in any order; a phase lock uses only the lowest, or the
-                highest with the direction down, to begin its search.
+            frequencies: frequencies of the points [Hz], in any order; a phase lock only begins its search at the first
+                point.
             direction: order of the points: up, down or up_down.
             hold: quantity that is kept constant: command, current, base or superior; phase means a phase lock.
-            target: peak amplitude to which current, base or superior is controlled [A or m]; ignored for the others.
+            target: peak amplitude to which current, base or superior is controlled [A or m]; ignored for command and
+                phase.
 
         Raises:
             Refused: the node is absent and cannot be started, or rejects the plan or the start; or the rig is at rest
@@ -610,7 +613,7 @@ class Gateway:
     async def do_note(self, value: str) -> str:
         """Publish a remark of the operator, so that it is recorded with the run and shown on the pages.
 
-        If a recorder runs but is not recording, the remark is only shown, and the answer says so.
+        If the recorder is not recording, the remark is only shown, and the answer says so.
 
         Raises:
             Refused: the remark is empty, or no recorder is running, so that the remark would be lost.
@@ -661,7 +664,7 @@ class Gateway:
         return f"recovered into {target.name}"
 
     async def do_restart(self) -> str:
-        """Restart those nodes of this lab whose processes have ended, and label the analysis with the gap of the rig.
+        """Restart the nodes of this lab whose processes have ended, and label the analysis with the gap of the rig.
 
         A restarted rig is at rest and has its initial configuration. A restarted recorder starts a new recording,
         unless the lab was started with `--no-record`.
@@ -688,9 +691,9 @@ class Gateway:
         return f"restarted: {', '.join(ended)}"
 
     async def _start(self, node: str) -> None:
-        """Start or restart a node of this lab, and forget the last report of its previous process.
+        """Start or restart a node of this lab, and wait until the new process is created.
 
-        The function returns when the new process is created. If the action is cancelled, the node is started anyway.
+        The last report of its previous process is discarded. If the action is cancelled, the node is started anyway.
 
         Raises:
             Refused: this lab does not start nodes.

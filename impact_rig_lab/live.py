@@ -13,8 +13,8 @@
 # limitations under the License.
 """Live source of the page: a ROS client that receives the messages of a running rig and runs the requests of pages.
 
-One event loop does everything: it waits for messages of ROS, processes data when a picture is due, and never blocks
-while an action waits for a node. Therefore STOP is sent even if a service hangs or an invalid message arrives.
+One event loop waits for messages of ROS, processes data when a picture is due, and runs actions. It never blocks while
+an action waits for a node. Therefore STOP is sent even if a service hangs or an invalid message arrives.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class LiveSource(Source):
         return self.record.scope.end_s if self.record.scope is not None else 0.0
 
     def close(self) -> None:
-        """End the thread of the source and its ROS client, and start no further nodes; running ones continue."""
+        """End the thread of the source and its ROS client, and start no further nodes; running nodes continue."""
         super().close()
         if self._own is not None:
             self._own.close()
@@ -139,11 +139,10 @@ class LiveSource(Source):
             await asyncio.sleep(0)  # begins new actions at once, and lets every other one check its condition
 
     def _poll(self) -> None:
-        """Process new messages of scans and motion, and subscribe to these topics only while a page is open.
+        """Process new messages of scans and motion, and subscribe to their topics only while a page is open.
 
-        If rig time runs too fast to draw (see `Pace.is_followed`), the lab receives no motion, which relieves
-        the rig. It then receives scans for `SUBSCRIBE_S` at a time, with pauses of `PAUSE_S` unless an action is in
-        progress.
+        If rig time runs too fast to draw (see `Pace.is_followed`), the lab receives no motion. It then receives scans
+        only for `SUBSCRIBE_S` at a time, with pauses of `PAUSE_S`. There are no pauses while an action is in progress.
         """
         if self._gateway is None:
             return
@@ -266,7 +265,10 @@ class LiveSource(Source):
 
 
 def _waits(rig: Seen) -> bool:
-    """Return whether the rig reports, but its time has not started: all known data then belong to the previous rig."""
+    """Return whether the rig reports, but its time has not started.
+
+    All known data then belong to the previous rig.
+    """
     return rig.lives and "rig_time_s" not in rig.figures
 
 
@@ -276,9 +278,9 @@ def _stamp(text: str) -> int:
 
 
 def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
-    """Return the numbers of lost blocks and scans, each under a text for the page that says what was lost and where.
+    """Return the numbers of lost blocks and scans, by a text for the page that describes the loss.
 
-    Losses of zero are left out. The result is None if no node has reported any of these numbers.
+    Losses of zero are left out. The result is None if no node has reported such a number.
 
     Args:
         seen: last report of each node.

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Program `ros2 run impact_rig lab_node`: serve the page of the laboratory for a rig that runs in the same namespace.
+"""Program `ros2 run impact_rig lab_node`: it serves the page of the laboratory for a rig in the same namespace.
 
 Modules that take long to import are imported only after the signal handlers and the watch on the parent process are set
-up, so that the program can be ended at any time.
+up. The program can therefore be ended at any time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ USE = (
 def main() -> None:
     """Run the program: serve the page until a signal ends it.
 
-    If a launch file of this project or `impact_rig.client.Processes` started it, the end of that process also ends it.
+    The end of the launch file of this project, or of the `impact_rig.client.Processes`, that started the program also
+    ends it.
     """
     begin("lab", USE, lambda ending: sys.exit(ending.run(lambda: _serve(ending), interrupting=False)))
 

@@ -15,8 +15,8 @@
 
 A player passes the messages of a run to a `RigView`, as for a live rig, at the speed chosen on the page. A thread reads
 the rare messages (journal, measurements, faults, impacts, remarks) of the whole run in advance. The page shows them as
-marks on its time line, and the state of the rig at any time follows from them. Only recorded facts are shown: a
-measurement applies only until the next change. An invalid message is counted and has no other effect.
+marks on its time line. The state of the rig at any time follows from them. An invalid message is counted and has no
+other effect.
 """
 
 from __future__ import annotations
@@ -79,11 +79,11 @@ class Instant:
 class RunPlayer:
     """Player of one recorded run: it passes scans and motion up to the shown time to its record, and reads the marks.
 
-    The marks are the rare messages of the whole run. Times of the page are seconds since scan 0 of the first run;
-    `offset_s` is added to them for a second run.
+    The marks are the rare messages of the whole run. Times of the page are seconds since scan 0 of the first run. The
+    player of a second run adds `offset_s` to them.
 
     Args:
-        path: a run directory or an MCAP file; one that cannot be opened, such as a truncated one, is first recovered
+        path: a run directory or an MCAP file; a run that cannot be opened, such as a truncated one, is first recovered
             into a temporary directory.
         rig: namespace of the rig to show; None means the only one in the recording.
 
@@ -151,7 +151,7 @@ class RunPlayer:
     def start(self) -> None:
         """Start a thread that reads the marks of the run: changes, measurements, faults, impacts, lost blocks.
 
-        They become available as they are read, up to `read_s`.
+        The marks up to `read_s` are available.
         """
         self._marker.start()
 
@@ -174,21 +174,19 @@ class RunPlayer:
         return (self.end_ns - self.start_ns) / NS_PER_S
 
     def instant_ns(self, page_s: float) -> int:
-        """Return the stamp in this run [ns] that corresponds to a time of the page [s], with the offset of this run."""
+        """Return the stamp in this run [ns] for a time of the page [s]; the offset of this run is added."""
         return self.start_ns + round((page_s + self.offset_s) * NS_PER_S)
 
     # Playing
 
     def jump(self, page_s: float) -> None:
-        """Move to another time: refill the ring buffers with the scans and motion of `LONGEST_S` + 0.5 s before it.
+        """Move to another time, and refill the ring buffers with the scans and motion before this time.
 
-        At high scan rates, that time is shorter: about `MOST_FILLED` scans.
-
-        `play` continues from there.
+        About `LONGEST_S` of data are read, or less at high scan rates. `play` continues from there.
 
         Args:
-            page_s: the time of the page [s]. Before the run the ring buffers stay empty; after it they show its end, or
-                nothing if the run ended before that time span.
+            page_s: the time of the page [s]. If nothing was recorded shortly before this time, the ring buffers stay
+                empty.
         """
         self._quiet.clear()
         try:
@@ -206,8 +204,7 @@ class RunPlayer:
     def play(self, page_s: float) -> None:
         """Pass the next scans, motion and stream samples to the record, up to and including a time of the page [s].
 
-        They continue from the last `jump`; before the first one, nothing is passed. The thread of `start` passes the
-        rare messages, for marks and state.
+        Playing continues from the last `jump`. Before the first `jump`, nothing is passed.
         """
         until = self.instant_ns(page_s)
         while self._next is not None and self._next.log_time <= until:
@@ -275,8 +272,8 @@ class RunPlayer:
     def at(self, page_s: float) -> Instant:
         """Return the state of the rig at a time of the page [s since scan 0 of the first run].
 
-        It results from the changes that have been read so far; a later time gives the last state that was read.
-        Before the first change, the parameters have their default values, and the drive is at rest.
+        The state follows from the changes that have been read so far. Before the first change, the parameters have
+        their default values, and the drive is at rest.
         """
         at_ns = self.instant_ns(page_s)
         view, change = self.record.journal.at(at_ns)
@@ -289,10 +286,10 @@ class RunPlayer:
         return Instant(values, drives[-1][1], latched, view.plucked, max(changed_ns, drives[-1][0]))
 
     def present(self, page_s: float, then: Instant) -> dict[str, Any]:
-        """Return whether the newest measurement before a time of the page applied then, in the form of `state.present`.
+        """Return whether the newest measurement at a time of the page applied then, in the form of `state.present`.
 
-        It applied if it measured a settled response, the shaker was driven, nothing had changed since the measurement
-        began, and there were no doubts about it (`RigView.doubts`).
+        It applied if it measured a settled response, the shaker was driven, and nothing had changed since it began.
+        There must also be no doubts about it (`RigView.doubts`).
 
         Args:
             page_s: the time of the page [s].
@@ -314,15 +311,15 @@ class RunPlayer:
     def rows(self, page_s: float) -> list[dict[str, Any]]:
         """Return a new list of the newest measurements up to a time of the page [s], with the keys of `Curve.part`.
 
-        There are at most `MOST_ROWS`.
+        The list has at most `MOST_ROWS` measurements.
         """
         at_s = page_s + self.offset_s
         return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 
     def impact_after(self, page_s: float, direction: float) -> float | None:
-        """Return the time of the page [s] of the next or previous true impact, among those that have been read so far.
+        """Return the time of the page [s] of the next or previous true impact that has been read so far.
 
-        An impact at `page_s` itself, to 1 µs, does not count.
+        An impact within 1 µs of `page_s` does not count.
 
         Args:
             page_s: time of the page from which to search [s].
@@ -347,8 +344,8 @@ class RunPlayer:
 class PlaybackSource(Source):
     """Source of pages that play back one recorded run, or two runs at once for comparison.
 
-    The record of the source is that of the first run, which also defines the time of the page. The second run is
-    shifted so that the first recorded scans of both coincide; a page can request another alignment.
+    The first run defines the record of the source and the time of the page. The second run is shifted so that the first
+    recorded scans of both runs coincide. A page can request another alignment.
 
     Args:
         paths: path of one run, or of two.
@@ -394,7 +391,7 @@ class PlaybackSource(Source):
         return self._now_s
 
     def start(self) -> None:
-        """Start to read the marks of the runs (see `RunPlayer.start`), and to play whenever a page is open."""
+        """Start to read the marks of the runs (see `RunPlayer.start`), and to play while a page is open."""
         for run in self._runs:
             run.start()
         super().start()
@@ -446,7 +443,7 @@ class PlaybackSource(Source):
     def _obey(self) -> None:
         """Run the waiting requests of pages and answer them.
 
-        Of several `seek` requests, only the last one is run; the others are answered as successful.
+        Only the last of several `seek` requests is run. The earlier ones are answered as successful.
         """
         asked: list[tuple[Request, Answer]] = []
         while not self._asked.empty():
@@ -494,16 +491,16 @@ class PlaybackSource(Source):
         """Shift the second run in time relative to the first, so that both can be compared.
 
         Args:
-            by: `start` (the first recorded scans of both runs are aligned), `time` (equal times since scan 0), or
-                `change`: the line of the first run's history (`RigHistory.part`, from its first scan on) that is
-                nearest to `at_s` is aligned with the first line of the second run of equal kind, key and text.
+            by: what is aligned: `start` (the first recorded scans of both runs), `time` (equal times since scan 0), or
+                `change`. For `change`, the change of the first run nearest to `at_s` is aligned with the first equal
+                change of the second run. Changes are lines of `RigHistory.part`.
             at_s: time of the page [s]; only for `change`.
 
         Returns:
             Answer for the page.
 
         Raises:
-            RecordingError: there is no second run, or no such line in what has been read of the runs so far.
+            RecordingError: there is no second run, or no such change in the parts of the runs read so far.
         """
         if len(self._runs) < 2:
             raise RecordingError(
@@ -567,7 +564,7 @@ class PlaybackSource(Source):
         }, then.values)  # fmt: skip
 
     def _words(self, run: RunPlayer) -> str:
-        """Return a sentence for the page: name of a run, and what its rig did at the time shown."""
+        """Return a sentence for the page: name of a run, and state of its rig at the time shown."""
         then = run.at(self.now_s)
         name = f"{run.path.name} (truncated; its intact part is shown)" if run.recovered else run.path.name
         if not run.begin_s <= self.now_s + run.offset_s <= run.end_s:

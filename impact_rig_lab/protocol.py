@@ -88,9 +88,9 @@ Check = Callable[[str, object], Any]
 
 
 def number(low: float = -math.inf, high: float = math.inf) -> Check:
-    """Return a `Check` that returns a finite number in [low, high] as a float.
+    """Return a `Check` that accepts a finite number in [low, high] and returns it as a float.
 
-    For any other value, also true and false, it raises a RequestError.
+    Any other value, also true or false, raises a RequestError.
     """
 
     def check(name: str, value: object) -> float:
@@ -119,7 +119,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def word(*known: str) -> Check:
-    """Return a `Check` that a value of a request is one of the texts in `known`."""
+    """Return a `Check` that accepts only the texts in `known`; any other value raises a RequestError."""
 
     def check(name: str, value: object) -> str:
         if not isinstance(value, str) or value not in known:
@@ -143,7 +143,7 @@ def text(name: str, value: object) -> str:
 
 
 def document(name: str, value: object) -> str:
-    """Check that the value `name` of a request is a text of any content, such as that of a file, and return it.
+    """Check that the value `name` of a request is a text, such as the content of a file, and return it.
 
     Raises:
         RequestError: the value is not a text.
@@ -265,8 +265,7 @@ def json_frame(kind: FrameKind, number: int, content: Mapping[str, Any]) -> byte
     Args:
         kind: STATE or REPLY.
         number: number in the head of the frame, modulo 2³²: 0 for STATE, the id of the request for REPLY.
-        content: what the page receives; values of NumPy are allowed, and NaN and infinite numbers become null
-            (`files.plain`).
+        content: content for the page; NumPy values are allowed. NaN and infinite numbers become null.
     """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(plain(content), separators=(",", ":")).encode()
 
@@ -276,10 +275,10 @@ def trace_frame(kind: FrameKind, number: int, trace: Trace, now_s: float) -> byt
 
     Args:
         kind: TRACE, or TRACE_B for a second run.
-        number: number of the frame, which the page acknowledges when it has drawn it; for a TRACE_B, which it does not
-            acknowledge, the epoch of the record (`RigView.epoch`).
+        number: for a TRACE, the number of the frame, which the page acknowledges when it has drawn the frame; for a
+            TRACE_B, the epoch of the record (`RigView.epoch`).
         trace: the picture.
-        now_s: time that the page shows [s since scan 0; for both kinds that of the first run].
+        now_s: time that the page shows [s since scan 0 of the first run].
     """
     head = _TRACE.pack(trace.begin_s, trace.column_s, trace.trigger_s, now_s, *trace.low.shape)
     parts = (trace.low.tobytes(), trace.high.tobytes(), trace.status.tobytes())
@@ -291,8 +290,7 @@ def rows_frame(kind: FrameKind, number: int, rows: NDArray[np.float64]) -> bytes
 
     Args:
         kind: MOTION, IMPACTS or DETECTED.
-        number: epoch of the record (`RigView.epoch`); a page that receives another epoch than before drops the rows
-            that it has, and shows the new ones.
+        number: epoch of the record (`RigView.epoch`); a new epoch makes the page drop the rows that it has.
         rows: rows, shape (number of rows, number of columns).
     """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + _ROWS.pack(*rows.shape) + rows.astype("<f8").tobytes()

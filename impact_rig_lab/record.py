@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""State of one rig, live or recorded, as its messages show it (`RigView`), in the forms that the page needs.
+"""State of one rig, live or recorded, derived from its messages (`RigView`), in the forms that the page needs.
 
 Scans and motion are kept in ring buffers for pictures, journal and faults as lines of text, and measurements as rows.
 An invalid message is counted under its topic and has no other effect. Times for the page are seconds since scan 0 of
@@ -92,7 +92,7 @@ def fault_unit(kind: str, channel: str) -> str:
 
 
 def amount(value: float, unit: str) -> str:
-    """Return a value of the rig as text for the page, with its unit: lengths in mm, NaN as "nan".
+    """Return a value of the rig with its unit as text for the page; lengths are in mm, NaN is "nan".
 
     Args:
         value: the value in `unit`.
@@ -103,12 +103,12 @@ def amount(value: float, unit: str) -> str:
 
 
 def plain(word: str) -> str:
-    """Return a key of the rig, such as "no_impacts", as text for the page, with spaces instead of underscores."""
+    """Return a key of the rig, such as "no_impacts", as text for the page: underscores become spaces."""
     return word.replace("_", " ")
 
 
 class Rows:
-    """Ring buffer of rows of numbers, from which each reader can get the rows that were added since its last reading.
+    """Ring buffer of rows of numbers, from which several readers can each get the rows that are new to them.
 
     The first number of a row is the time [s since scan 0].
 
@@ -129,15 +129,15 @@ class Rows:
     def since(self, number: int, most: int = 2000) -> NDArray[np.float64]:
         """Return the rows added after the first `number` rows, shape (n, columns).
 
-        If they are more than `most`, or than are kept, only the newest ones are returned. `count` tells how many rows
-        were added in all.
+        At most `most` rows that are still kept are returned: the newest ones. `count` is the number of all rows ever
+        added.
         """
         first = max(number, self.count - min(len(self._rows), most), 0)
         return self._rows[np.arange(first, self.count) % len(self._rows)]
 
 
 class MotionBuffer:
-    """Newest motion in SI units: true states and impacts, and impacts detected by the accelerometer, 4096 rows of each.
+    """Ring buffers of the newest motion in SI units, with 4096 rows each: true states, true and detected impacts.
 
     Attributes:
         states: rows of time, three positions x_b, x_1, x_2 and their velocities v_b, v_1, v_2. The indices b, 1 and 2
@@ -172,10 +172,10 @@ class MotionBuffer:
         self.states.add(((stamp - start_ns) / NS_PER_S, *positions, *velocities))
 
     def add_rows(self, table: Table, start_ns: int) -> None:
-        """Add true impacts from a table of `truth/impacts`, or detected ones from a table of `impacts`.
+        """Add true impacts from a table of `truth/impacts`, or detected impacts from a table of `impacts`.
 
         Args:
-            table: the table; its columns show which of the two it is.
+            table: the table; its columns decide which kind of impacts it has.
             start_ns: stamp of scan 0.
         """
         true = ("wall", "approach_speed", "separation_speed", "peak_force")
@@ -191,8 +191,7 @@ class RigHistory:
 
     Args:
         most: number of newest journal entries kept; None means all entries and all lines. Past states are derived from
-            the kept entries, so a parameter that an older entry has set is shown with its default value. With a number,
-            the newest `MOST_ENTRIES` lines are kept.
+            the kept entries only. With a number, the newest `MOST_ENTRIES` lines are kept.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
@@ -202,9 +201,9 @@ class RigHistory:
         self._part: tuple[int, list[list[Any]]] | None = None
 
     def add(self, entry: JournalEntry) -> None:
-        """Add an entry of `rig/journal` to the history: as a change of the state, and as a line for the page.
+        """Add an entry of `rig/journal`: as a change of the state, and as a line for the page.
 
-        An entry that sets several parameters gives a line for each.
+        An entry that sets several parameters gives a line for each parameter.
         """
         self._view.follow(entry)
         self._changes.append(entry)
@@ -225,7 +224,7 @@ class RigHistory:
         return self._view.configuration
 
     def remark(self, words: str, stamp_ns: int) -> None:
-        """Add a remark of an operator as a line; its first 200 characters are kept.
+        """Add a remark of an operator as a line; longer remarks are cut to 200 characters.
 
         Args:
             words: the remark.
@@ -247,11 +246,8 @@ class RigHistory:
     def part(self, start_ns: int) -> list[list[Any]]:
         """Return all lines for the page, ordered by time, each as [time in s since scan 0, kind, key, text].
 
-        Kind, key and text are, for example, "parameter", the name and the value. For a fault they are "fault", "begins"
-        or "ends", and which fault; for the command that requests it, "fault", which fault and its size. For a remark
-        they are "note", "" and the remark.
-
-        If nothing is new, the result is the same object as before.
+        An example is [12.5, "parameter", name, value]. The beginning of a fault is [time, "fault", "begins", which
+        fault], and a remark is [time, "note", "", remark]. If nothing is new, the result is the same object as before.
 
         Args:
             start_ns: stamp of scan 0.
@@ -262,11 +258,11 @@ class RigHistory:
         return self._part[1]
 
     def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
-        """Return the state of the rig at a rig time, and the last entry up to then that makes a measurement restart.
+        """Return the state of the rig at a rig time, and the last entry before it that makes a measurement restart.
 
-        Entries about faults and about the samples of a stream that drives the rig do not make a measurement restart.
-        The entry is None if none of the kept entries does. Before the first kept entry, the parameters have their
-        default values.
+        Entries about faults, and about the samples of a stream, do not make a measurement restart. The entry is None if
+        there is no such entry. Only the kept entries count. Before the first of them, the parameters have their default
+        values.
         """
         view, newest = JournalView(), None
         for change in list(self._changes):
@@ -284,7 +280,7 @@ def _value(entry: JournalEntry) -> str:
 
 
 class Faults:
-    """History of the simulated instrument faults, to find those that are active now or were at a past time.
+    """History of the simulated instrument faults; it finds the faults that are active at any time.
 
     Args:
         most: number of beginnings and ends kept; None means all.
@@ -332,7 +328,7 @@ class Faults:
 
 @attrs.frozen
 class Judged:
-    """Row of `transmissibility/table` in brief: which scans were measured for it, its status and its gap label."""
+    """Summary of a row of `transmissibility/table`: its measured scans, its status and its gap label."""
 
     begin_ns: int  # rig time of the first scan measured; scans while the response settled are not included
     end_ns: int  # rig time of the last scan measured
@@ -355,7 +351,7 @@ class Curve:
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
-        """Add the rows of a `transmissibility/table`: all to `judged`, those with a measured value also to `part`."""
+        """Add the rows of a `transmissibility/table`: all to `judged`, rows with a measured value also to `part`."""
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
@@ -370,7 +366,7 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return the newest row of the analysis in brief; None if there is none.
+        """Return the summary of the newest row of the analysis; None if there is no row.
 
         Args:
             at_ns: rig time up to which the scans of the row must have ended [ns]; None means now.
@@ -379,10 +375,10 @@ class Curve:
         return rows[-1] if rows else None
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return the problem of a sensor's channel according to the newest row of the analysis, as text by channel.
+        """Return the problem of a sensor's channel that the newest row of the analysis states, as text by channel.
 
-        The result is empty if the row states no problem. It is None if there is no row, or if the row has neither a
-        channel with a problem nor a measured value.
+        The result is empty if the row states no problem. It is None if there is no row, or if the row says nothing
+        about the channels.
 
         Args:
             at_ns: rig time; None means now.
@@ -420,7 +416,7 @@ def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
 
 
 class RigView:
-    """State of one rig as its messages show it; each message, from the graph or from a file, is passed to `take`.
+    """State of one rig as its messages show it; each message, from ROS or from a file, is passed to `take`.
 
     Args:
         most: number of changes of rig and drive that are kept. None means that all changes, measurements and faults are
@@ -461,8 +457,8 @@ class RigView:
     def since_ns(self, at_ns: int | None = None) -> int:
         """Return the stamp of scan 0 of the present rig, or of the rig that ran at a past rig time.
 
-        Data with earlier stamps belong to another rig. Later stamps do not show that data belong to this rig: a
-        previous rig that ran faster than real time may have reached them.
+        Data with earlier stamps belong to another rig. Data with later stamps may also belong to another rig, for
+        example to a previous rig that ran faster than real time.
         """
         if at_ns is None:
             return max(self.start_ns, self.told_start_ns)
@@ -471,9 +467,8 @@ class RigView:
     def doubts(self, at_ns: int | None = None) -> list[str]:
         """Return reasons why the newest measurement may not describe the present rig, as text; empty if there are none.
 
-        They are faults that are active or were so during the measurement, problems of channels, a change since the
-        measurement began, and a label of the analysis with another gap than that of the rig. Without a measurement,
-        they are active faults.
+        Reasons are faults active now or during the measurement, problems of channels, a change since the measurement
+        began, and a wrong gap in the label of the analysis. Without a measurement, only active faults are reasons.
 
         Args:
             at_ns: rig time for which to judge; None means now.
@@ -498,9 +493,8 @@ class RigView:
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
         """Return the problems of the sensors' channels as `Curve.health` does, if they apply to the present drive.
 
-        Otherwise the result is None. That is the case until the analysis has published a row after a change of the
-        drive, and always without a drive current. Without one, nothing is measured, and after a pluck the analysis
-        could take the free vibration for spikes and the locked base for a dead channel.
+        Otherwise the result is None. This is the case until the analysis has published a row after a change of the
+        drive. It is also the case without a drive current, because nothing is measured then.
 
         Args:
             at_ns: rig time; None means now.
@@ -511,13 +505,13 @@ class RigView:
         return self.curve.health(at_ns)
 
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
-        """Process a message of the rig; an invalid one is only counted in `refused`.
+        """Process a message of the rig; an invalid message is only counted in `refused`.
 
         Args:
             topic: topic of the message.
             data: the serialised message.
-            at_ns: rig time at which the message was received, for a remark, which has no stamp; None means the time of
-                the newest scans.
+            at_ns: rig time at which a remark was received; None means the time of the newest scans. It is ignored for
+                other topics, whose messages have stamps.
         """
         guard(self.refused, topic.name, lambda: self._take(topic, data, at_ns))
 
@@ -575,8 +569,8 @@ class RigView:
     def stream_part(self) -> dict[str, float] | None:
         """Return the state of the stream that drives the rig for the page; None if the drive is not a stream.
 
-        Numbers of samples are converted to seconds of the stream: `buffered` and `capacity` of its buffer, and the
-        `missing` and `late` samples. `refused` is a number of blocks of samples.
+        `buffered` and `capacity` of the buffer, and the `missing` and `late` samples, are in seconds of the stream.
+        `refused` is the number of rejected blocks of samples.
         """
         if self.stream is None:
             return None
@@ -594,10 +588,10 @@ class RigView:
         return None if change is None else change[1]
 
     def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
-        """Return rig time [ns] and values of the newest change of the drive, or of the last one up to a rig time [ns].
+        """Return rig time [ns] and values of the newest change of the drive, or None if there is no such change.
 
-        The values have the keys of `drive`. Returns None if there is no such change. If `at_ns` is None, only changes
-        of the present rig count; otherwise those of all rigs.
+        The values have the keys of `drive`. If `at_ns` is None, only changes of the present rig count. Otherwise the
+        changes of all rigs up to the rig time `at_ns` count.
         """
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
@@ -607,7 +601,7 @@ class RigView:
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:
-    """Call a function that processes external data; if it fails, count the failure, so that everything else continues.
+    """Call a function that processes external data; a failure is counted and not raised.
 
     Args:
         refused: failures so far by key: their number, and the reason of the last one.
@@ -629,8 +623,8 @@ def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T 
 def came_before(changed_ns: int, row: Judged) -> bool:
     """Return whether a change of the rig took place before the scans of a measurement began.
 
-    The measurement then describes the changed rig. A change also counts as before if it took place up to one interval
-    of the command grid (10 ms) after the scans began.
+    The measurement then describes the changed rig. A tolerance of one interval of the command grid (10 ms) after the
+    start of the scans applies.
 
     Args:
         changed_ns: rig time of the change.
@@ -640,9 +634,9 @@ def came_before(changed_ns: int, row: Judged) -> bool:
 
 
 def start_ns(info: Table) -> int:
-    """Return the stamp of scan 0 of a rig [ns], from which all times are counted, according to a table of `daq/info`.
+    """Return the stamp of scan 0 of a rig [ns], from which all times are counted.
 
-    The first row of the table counts.
+    It follows from the first row of a table of `daq/info`.
 
     Raises:
         RecordingError: the table states an invalid time, or has no rows.

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Data of the scope (the oscilloscope on the page): the newest scans, and pictures of any window of them.
 
-A picture has the minimum and maximum of the scans in each of its columns. Every scan belongs to exactly one column, so
-that a pulse of a single scan is visible at any zoom.
+A picture has the minimum and maximum of the scans in each of its columns. Therefore a pulse of a single scan is visible
+at any zoom.
 """
 
 from __future__ import annotations
@@ -64,8 +64,6 @@ class Trace:
 class ScopeLevel:
     """Ring buffer of pairs: minimum and maximum of each channel over a group of consecutive scans.
 
-    All groups of a level have the same number of scans.
-
     Args:
         fine: number of scans per group; with 1, the level is the ring buffer of the scans themselves.
         size: number of pairs.
@@ -79,15 +77,15 @@ class ScopeLevel:
         self.end = 0  # number of the pair after the last complete one
 
     def widen(self) -> None:
-        """Add a row for one more channel, the commanded current; its values are NaN so far."""
+        """Add a row for the commanded current, as one more channel; its values are NaN at first."""
         same = self.high is self.low
         self.low = np.vstack([self.low, np.full((1, self.size), np.nan, np.float32)])
         self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
 
     def places(self, begin: int, end: int) -> list[slice]:
-        """Return the slices of the ring that hold the pairs `begin` to `end` − 1, which may be at most `size` pairs.
+        """Return the slices of the ring buffer that hold the pairs `begin` to `end` − 1, at most `size` pairs.
 
-        If the pairs continue at the beginning of the ring, there are two slices; without pairs, there is none.
+        There are two slices if the pairs continue at the beginning of the buffer, and no slice if there are no pairs.
         """
         if end <= begin:
             return []
@@ -95,7 +93,7 @@ class ScopeLevel:
         return [slice(first, last)] if first < last else [slice(first, self.size), slice(0, last)]
 
     def blank(self, begin: int, end: int) -> None:
-        """Set the minima and maxima with the numbers begin to end − 1 to NaN, and their status bits to 0."""
+        """Set the pairs `begin` to `end` − 1 to NaN, and their status bits to 0."""
         for place in self.places(begin, end):
             self.low[:, place] = self.high[:, place] = np.nan
             self.status[place] = 0
@@ -148,11 +146,10 @@ class Scope:
             self._commanded[:] = np.nan
 
     def add(self, table: Table, start_ns: int) -> None:
-        """Add a block of scans.
+        """Add a block of scans; missing scans between the kept scans and the block become NaN.
 
-        Scans that are missing between the kept scans and the block become NaN. If the block begins before the end of
-        the kept scans, or after it by more than the length of the buffer, the kept scans and commanded samples are
-        dropped first. A block that begins before scan 0 is ignored.
+        If the block begins before the end of the kept scans, or later than the length of the buffer after it, the kept
+        data are dropped first. A block that begins before scan 0 is ignored.
 
         Args:
             table: table of `daq/scan`.
@@ -225,9 +222,9 @@ class Scope:
         Args:
             span_s: length of the window [s], at most `LONGEST_S`; a longer one is shortened.
             columns: approximate number of columns; the picture may have fewer, or up to twice as many.
-            trigger: whether to move the window back, by at most 0.25 s, until it begins where the current crosses zero
-                upwards, so that successive pictures of a periodic motion coincide. Without such a crossing, it is not
-                moved.
+            trigger: whether the window begins where the current crosses zero upwards, so that successive pictures of a
+                periodic motion coincide. The window moves back by at most 0.25 s. Without such a crossing, it does not
+                move.
         """
         if self.end <= self.begin:
             return None
@@ -245,8 +242,8 @@ class Scope:
     def _crossing(self, begin: int) -> float:
         """Return the number of the last scan before scan `begin` at which the current crosses zero upwards.
 
-        The number is rounded to a whole one. It is NaN if there is no crossing in the quarter of a second before, or if
-        the mean of the current over a millisecond stays within ±0.01 A there.
+        The result is NaN if there is no crossing in the quarter of a second before, or if the current is too small
+        there. Means over a millisecond decide, because of noise.
         """
         low = max(self.begin, begin - round(0.25 * self.rate_hz), 0)
         found = self._read(low, begin + 1)[CURRENT]
@@ -269,18 +266,18 @@ class Scope:
         return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
     def stretch(self, span_s: float) -> NDArray[np.float32]:
-        """Return the scans of the newest `span_s` seconds, or all kept scans if these are shorter.
+        """Return the scans of the newest `span_s` seconds, or all kept scans if there are fewer.
 
         The shape is (channels, scans), with channels as in `Trace.low`.
         """
         return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
     def _trace(self, level: ScopeLevel, begin: int, count: int, step: int, crossing: float) -> Trace:
-        """Return a picture; each of its columns has the least and largest values of `step` pairs of a level.
+        """Return a picture; each of its columns has the minimum and maximum of `step` pairs of a level.
 
         Args:
             level: level to read.
-            begin: index of the first pair. Its group of scans may begin before the window, by less than a group.
+            begin: index of the first pair.
             count: number of pairs in the window; the newest ones that do not fill a column are left out.
             step: number of pairs in a column.
             crossing: index of the scan of the trigger, or NaN.
@@ -305,11 +302,9 @@ class Scope:
 
 
 def _columns(values: NDArray[Any], step: int) -> NDArray[Any]:
-    """Rearrange values so that a reduction over the first axis reduces groups of `step` neighbours.
+    """Rearrange a copy of the values so that a reduction over the first axis reduces groups of `step` neighbours.
 
-    The shape (…, n · step) becomes (step, …, n), in a copy.
-
-    NumPy reduces a long first axis up to forty times as fast as a short last one.
+    The shape (…, n · step) becomes (step, …, n). NumPy reduces a long first axis much faster than a short last one.
     """
     return np.ascontiguousarray(np.moveaxis(values.reshape(*values.shape[:-1], -1, step), -1, 0))
 
@@ -320,11 +315,11 @@ def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tupl
     Args:
         values: consecutive scans, shape (n,); NaN counts as 0, before the mean is subtracted.
         rate_hz: scans per second.
-        top_hz: frequency that the lines of the result reach or just exceed; they end at half the scan rate.
+        top_hz: highest frequency of the result, rounded up to a line; the lines end at half the scan rate.
 
     Returns:
-        Distance of the lines [Hz], and peak amplitudes at the lines from 0 Hz on, with a Hann window, for which they
-        are corrected; no amplitudes for fewer than 16 scans.
+        Distance of the lines [Hz], and peak amplitudes at the lines from 0 Hz on. A Hann window is used, and the
+        amplitudes are corrected for it. There are no amplitudes for fewer than 16 scans.
     """
     count = len(values)
     if count < 16:
@@ -336,9 +331,9 @@ def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tupl
 
 @functools.lru_cache(maxsize=4)  # every page requests it four times a second, usually with the same length
 def _hann(count: int) -> NDArray[np.float64]:
-    """Return a Hann window of `count` samples, scaled for `rfft`.
+    """Return a Hann window of `count` samples, scaled for `rfft` so that the result is a peak amplitude.
 
-    The absolute value at a line of the spectrum is then the peak amplitude of a sine with the frequency of that line.
+    This holds for a sine with the frequency of a line of the spectrum.
     """
     window = np.hanning(count)
     return window * (2.0 / window.sum())

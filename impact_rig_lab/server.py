@@ -14,9 +14,9 @@
 """Web server of the laboratory: it serves the page, and a WebSocket for each open page, to clients with the token.
 
 By default the server is reachable only from this machine. The page fetches nothing from other sites, and the content
-security policy forbids it. Each open page has a `PageSession`, which sends what the page requests. It sends the next
-picture only when the page has drawn an earlier one, so a hidden page costs almost nothing. A page may request recorded
-runs (`?run=NAME`), and then gets a player of its own.
+security policy forbids it. Each open page has a `PageSession`, which sends the next picture only when the page has
+drawn an earlier one. A hidden page therefore costs almost nothing. A page that requests recorded runs (`?run=NAME`)
+gets a player of its own.
 """
 
 from __future__ import annotations
@@ -112,9 +112,9 @@ def plotter_files() -> Path:
 def kept_token() -> str:
     """Return the secret token that the address of the page contains, so that only this user can open the page.
 
-    The token is created once and stored in a file that only the user can read, so that an open page can reconnect after
-    a restart of the lab. If the token cannot be stored, it is valid for this start only. A stored token that other
-    users can read is replaced.
+    The token is stored in a file that only the user can read, so an open page can reconnect after a restart of the lab.
+    If the token cannot be stored, it is valid for this start only. A stored token that other users can read is
+    replaced.
     """
     path = files.state_dir("") / "lab_token"
     with contextlib.suppress(OSError, UnicodeDecodeError):
@@ -203,7 +203,7 @@ class PageSession:
         self._answered.set()
 
     async def _send(self) -> None:
-        """Send replies at once, the state at intervals, and a picture as soon as the page has drawn an earlier one.
+        """Send replies at once, the state at intervals, and a picture as soon as the page has drawn an earlier picture.
 
         A page that does not draw receives a picture every `PATIENCE_S`.
         """
@@ -237,9 +237,7 @@ class PageSession:
             await self._socket.send_bytes(protocol.json_frame(FrameKind.STATE, 0, parts))
 
     def _picture(self, now: float) -> list[bytes]:
-        """Return the frames of the next picture, or none if nothing new is to be drawn or the buffers are being filled.
-
-        A jump in a recorded run fills them for seconds, during which the server must pass on a STOP to a live rig.
+        """Return the frames of the next picture; none if nothing is new, or if the ring buffers are being filled.
 
         The last frame is the TRACE, which the page acknowledges when it has drawn the picture.
 
@@ -295,10 +293,8 @@ class PageSession:
 class _Counting(logging.Handler):
     """Log handler that only counts the messages of aiohttp, so that clients with invalid requests cannot fill the log.
 
-    Such messages report invalid HTTP requests, and connections that end in the middle of a request.
-
     Args:
-        counts: counts by reason, to which it adds: `Server.refused`, which no page shows.
+        counts: counts by reason, which the handler increases (`Server.refused`).
     """
 
     def __init__(self, counts: Counter[str]) -> None:
@@ -357,7 +353,7 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Address (URL) to open in a browser once the server runs, with the token; its host is `host`, even 0.0.0.0."""
+        """Address (URL) with the token, to open in a browser once the server runs; its host is that of the server."""
         return f"http://{self._name}:{self.port}/?token={self.token}"
 
     @property
@@ -441,9 +437,9 @@ class Server:
             self._loop.add_reader(listener, self._accept, listener, server)
 
     def _accept(self, listener: socket.socket, server: web.Server) -> None:
-        """Accept a waiting connection of a client, or close it at once if there are `MOST_CONNECTIONS` already.
+        """Accept a waiting connection of a client; close it at once if there are `MOST_CONNECTIONS` already.
 
-        `sock_accept` is not used: cancelled at the wrong moment, it loses the connection that it has just accepted.
+        `sock_accept` is not used, because a cancellation can lose the connection that it has just accepted.
         """
         assert self._loop is not None
         try:
@@ -504,8 +500,8 @@ class Server:
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Pass a request to its handler, unless it comes from another web site (middleware of the application).
 
-        Requests with the origin of another page are rejected. If the lab is served only to this machine (a loopback
-        address), so are requests with a host name that is not the lab's (DNS rebinding).
+        Requests with the origin of another page are rejected. If the lab is served only to this machine, requests with
+        a wrong host name are rejected as well (DNS rebinding).
         """
         self._unserved.discard(request.protocol)
         response: web.StreamResponse | None = self._turned_away(request)
@@ -600,9 +596,10 @@ class Server:
     # Recorded runs
 
     def runs(self) -> list[Path]:
-        """Return the recorded runs that a page may play: the newest directories with MCAP files in the folder of runs.
+        """Return the recorded runs that a page may play: directories with MCAP files in the folder of runs.
 
-        They are at most `MOST_RUNS`, the last changed one first; none if the server has no such folder.
+        The newest `MOST_RUNS` directories are returned, the last changed one first. The list is empty if the server has
+        no folder of runs.
         """
         if self._runs is None:
             return []

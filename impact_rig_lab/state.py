@@ -13,8 +13,8 @@
 # limitations under the License.
 """State of rig and measurement as pages show it, live and in playback, and the base class `Source` that provides it.
 
-`judge` summarises the state in one word and one sentence. It decides by the state words of the nodes
-(`impact_rig.states`) only; sentences of nodes are not parsed. A value that was never reported, or too long ago, is not
+`judge` summarises the state in one word and one sentence. It uses only the state words of the nodes
+(`impact_rig.states`), and does not parse their sentences. A value that was never reported, or too long ago, is not
 shown as present. Times are seconds since scan 0; earlier times are negative.
 """
 
@@ -76,7 +76,7 @@ DEAD_S = 4.0  # time after which a silent node counts as absent
 
 @attrs.frozen
 class Seen:
-    """Last report of a node in `/diagnostics`, with its age, as far as the lab has received one."""
+    """Last report of a node in `/diagnostics`, with its age; empty values if the lab has not received a report."""
 
     state: str = ""  # state word of the node, see `impact_rig.states`; empty if it reported none
     reason: str = ""  # reason for this state, in the words of the node
@@ -118,7 +118,10 @@ class Seen:
 
     @property
     def gone(self) -> str:
-        """Reason why a node is gone: its process ended, or its reports stopped; otherwise empty, as before a report."""
+        """Reason why a node is gone: its process ended, or its reports stopped.
+
+        The text is empty if the node lives, or has not reported yet.
+        """
         if self.ended:
             return self.ended
         return "" if self.age_s is None or self.lives else f"silent for {self.age_s:.0f} s"
@@ -146,9 +149,9 @@ MEASURING = {
 def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, str]:
     """Summarise the state of a live rig and its measurement in one word and one sentence for the page.
 
-    The word is `measured` only if the analysis reports a measurement that applies to the present drive, and there are
-    no doubts about it. Otherwise it is `settling` or `driving` if the rig is driven, else the state of the rig
-    (`RigWord`, with spaces), `starting`, `dead` or `unknown`.
+    The word is `measured` only if a measurement of the present drive is available without doubts. If the rig is driven
+    without such a measurement, the word is `settling` or `driving`. If the rig is not driven, the word is the state of
+    the rig (`RigWord`, with spaces), `starting`, `dead` or `unknown`.
 
     Args:
         rig: last report of the rig.
@@ -193,9 +196,9 @@ class Pace:
         clock: clock for real time [s].
 
     Attributes:
-        speed: speed between the last two different readings; 0 before there are two, also after a restart of the rig,
-            or if its state implies that its time stands still. It is kept while the readings do not change, unlike the
-            result of `read`.
+        speed: speed between the last two different readings. It is 0 before there are two, after a restart of the rig,
+            or if the state of the rig implies that its time stands still. It keeps its value while the readings do not
+            change.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -217,8 +220,8 @@ class Pace:
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
         """Add a reading of the rig time, and return its present speed (rig seconds per real second).
 
-        The speed is 0 for the first reading, and if the rig time has not changed for 3 s of real time. It stays as it
-        was if the rig time has gone back, or changes for the first time after 10 s or more.
+        The speed is 0 for the first reading, and if the rig time has not changed for 3 s of real time. A reading that
+        goes back, or arrives 10 s or more after the last change, does not change the speed.
 
         Args:
             rig_s: rig time [s].
@@ -237,9 +240,9 @@ class Pace:
 
 
 def choices() -> dict[str, Any]:
-    """Return the choices that the controls of the page offer: contact laws, starts of the sphere, faults, channels.
+    """Return the choices that the controls of the page offer, such as contact laws, faults and channels.
 
-    `faults` maps each kind of fault to the content of its input form, `units` the kind of drive to its unit.
+    `faults` maps each kind of fault to the content of its input form. `units` maps each kind of drive to its unit.
     """
     about = {name: info for name, info, _ in fields()}
     return {
@@ -266,10 +269,10 @@ SIZE_NAMES = {
 def _fault_form(kind: str) -> dict[str, Any]:
     """Return the content of the page's input form for a kind of instrument fault.
 
-    The result has `words` (description), `board` (whether the fault concerns all channels), `rate` (whether it
-    occurs repeatedly, at a mean rate) and `sizes` by channel; a fault of all channels has its size under an empty name.
-    A size has a name, a default in the `unit` of the page, and `scale`, the factor from this unit to that of the rig.
-    If a kind of fault has no size, `sizes` is empty.
+    The keys are `words` (description), `board` (whether the fault concerns all channels), `rate` (whether it occurs
+    repeatedly) and `sizes`. `sizes` maps each channel to an input: name, default in the `unit` of the page, and
+    `scale`, the factor from this unit to that of the rig. A fault of all channels has its size under an empty name. A
+    kind of fault without a size has empty `sizes`.
     """
     words = FAULT_KINDS[kind]
     sizes: dict[str, dict[str, Any]] = {}
@@ -285,7 +288,7 @@ def _fault_form(kind: str) -> dict[str, Any]:
 
 
 def figure(value: str | None) -> float | None:
-    """Convert a value of the diagnostics to a number, which may be NaN; None if it is missing or another text."""
+    """Convert a value of the diagnostics to a number, which may be NaN; None if it is missing or not numeric."""
     try:
         return None if value is None else float(value)
     except ValueError:
@@ -295,11 +298,10 @@ def figure(value: str | None) -> float | None:
 def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, Any]:
     """Return whether the newest measurement applies now (`holds`), and the progress of the next one, for the page.
 
-    The measurement applies if `judge` returns `measured` for the same arguments, or would if the rig were not paused.
-    The progress consists of the number of settling windows `done` and needed (`of`), the remaining fraction of the
-    transient (`rest`), and the time without impacts (`quiet`) [s] and its limit (`quiet_of`) [s]; None if unknown.
-    `state` and `reason` are those of the analysis; they are empty unless both nodes report and the rig is driven or
-    paused.
+    The measurement applies if `judge` returns `measured`, or would do so if the rig were not paused. The progress
+    consists of the settling windows `done` and needed (`of`), and the remaining fraction of the transient (`rest`). It
+    also has the time without impacts (`quiet`) [s] and its limit (`quiet_of`) [s]. Unknown numbers are None. `state`
+    and `reason` are those of the analysis. They are empty unless both nodes report and the rig is driven or paused.
 
     Args:
         rig: last report of the rig.
@@ -322,7 +324,7 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
 
 
 class Snapshot:
-    """Newest state of a source in named parts, from which each session sends its page the parts that have changed.
+    """Newest state of a source in named parts; a session can get the parts that have changed since a version.
 
     The attribute `version` increases with each change. A snapshot may be used by several threads.
     """
@@ -334,7 +336,7 @@ class Snapshot:
         self.version = 0
 
     def put(self, **parts: Any) -> None:
-        """Set parts by any names, all at once: a session that reads meanwhile gets all new parts or none of them.
+        """Set parts by name, all at once: a reader gets all new parts or none of them.
 
         A part that equals the present one does not count as a change.
         """
@@ -356,7 +358,9 @@ class Snapshot:
 
 
 class Source(abc.ABC):
-    """Base class of what pages show: a live rig, or recorded runs. A thread runs requests and updates the snapshot.
+    """Base class of a source of pages: a live rig, or recorded runs.
+
+    The thread of the source runs requests and updates the snapshot.
 
     Args:
         mode: `live` or `playback`.
@@ -416,21 +420,20 @@ class Source(abc.ABC):
         self.theory.close()
 
     def guard(self, what: str, work: Callable[[], T]) -> T | None:
-        """Call a function that is a part of the source's work; if it fails, count the failure under the name `what`.
+        """Call a function that is a part of the source's work; a failure is counted in `failures` by the name `what`.
 
-        `failures` keeps the count and the last reason. The loop of the source must continue in any case, because it
-        also sends STOP. Returns the result of the function, or None if the function has failed.
+        The exception is not raised, because the loop of the source must continue, for example to send STOP. Returns the
+        result of the function, or None if the function has failed.
         """
         return guard(self.failures, what, work)
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
         """Update the snapshot with the results of functions, and request the prediction for the present settings.
 
-        The prediction is requested only while a page is open, the drive (`applied`) is known and `values` is not empty.
-
-        If a function fails, the failure is counted, its part stays as it is, and the other parts are updated.
-        The part `refused` gets all failures by name, and invalid messages by topic. The part `other_motion` gets the
-        result of `contradiction` for the newest measurement if that applies now, otherwise an empty text.
+        If a function fails, the failure is counted, its part stays as it is, and the other parts are updated. The part
+        `refused` gets all failures and invalid messages. The part `other_motion` gets the result of `contradiction` for
+        the newest measurement if the measurement applies now. The prediction is requested only while a page is open and
+        the drive is known.
 
         Args:
             parts: functions that return the parts, by name; `applied`, `dt` and `dt_now` are among them.
@@ -453,7 +456,7 @@ class Source(abc.ABC):
 
 
 def glossary() -> dict[str, str]:
-    """Return an explanation of each word that a page may show, for its help texts.
+    """Return an explanation of each special word that a page may show, for its help texts.
 
     The words are states of nodes, statuses and regimes of measurements, contact laws, faults, and names of values.
     """

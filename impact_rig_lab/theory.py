@@ -13,9 +13,10 @@
 # limitations under the License.
 """Theoretical curves of DT over frequency at the present settings of the rig, which the page draws with measurements.
 
-They are the closed form without the sphere, a prediction of motions with two symmetric impacts per cycle, and branches
-that `impact-rig dynamics continue` has computed before. The prediction takes some tenths of a second. A thread of low
-priority computes it when gap, current, sphere, law or another relevant value has changed, and skips outdated requests.
+There are three kinds of curves: the closed form without the sphere, a prediction of motions with two symmetric impacts
+per cycle, and branches computed before by `impact-rig dynamics continue`. The prediction takes some tenths of a second.
+A thread of low priority computes it when gap, current, sphere, law or another relevant value has changed. It skips
+outdated requests.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
         values: parameters of the rig by name.
 
     Returns:
-        Pairs [frequency in Hz, DT] from 5 to 14 Hz and near the natural frequency; none if the natural frequency or the
-            damping ratio is unknown or 0.
+        Pairs [frequency in Hz, DT] from 5 to 14 Hz, denser near the natural frequency; none if the natural frequency or
+        the damping ratio is unknown or 0.
     """
     natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
     if not natural or not damping:
@@ -89,9 +90,9 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         amplitude: amplitude of the drive, peak [A or m by `drive.kind`].
 
     Returns:
-        A mapping. `lines` has a list for each line: [whether the motion is stable, [[frequency in Hz, DT], ...]], at
-            frequencies within `FREQUENCIES_HZ`. `words` describe the motions to the user, or say why there are none.
-            `impacts` is the number of impacts per cycle; only this key is absent if there is no motion.
+        A mapping. `lines` has a list for each line: [whether the motion is stable, [[frequency in Hz, DT], ...]].
+        `words` is a text that describes the motions, or says why there are none. `impacts` is the number of impacts per
+        cycle. This key is absent if there is no motion.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
@@ -125,9 +126,9 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
 
 
 def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
-    """Return a sentence for the page if the measured motion has other impacts per cycle than the predicted one.
+    """Return a sentence for the page if the measured motion has other impacts per cycle than the predicted motion.
 
-    Otherwise the text is empty, also without a prediction. Differences up to `OTHER_MOTION` do not count.
+    The text is empty otherwise, or if there is no prediction. Differences up to `OTHER_MOTION` do not count.
 
     Args:
         prediction: result of `predicted`.
@@ -151,7 +152,7 @@ class Continued(NamedTuple):
     title: str  # title of the study
 
     def exists(self, values: Mapping[str, Any], amplitude: float) -> bool:
-        """Return whether the branches were computed for a rig with these settings, so that the page may draw them.
+        """Return whether the branches were computed for the given settings of the rig.
 
         Args:
             values: parameters of the rig by name; missing ones count as equal.
@@ -166,8 +167,8 @@ def continued(directory: Path) -> Continued:
     """Read branches of motions over frequency from the output directory of `impact-rig dynamics continue`.
 
     Raises:
-        ConfigError: results from this version of the code are missing, they are not over the frequency, or
-            `impact_rig_studies` is not installed.
+        ConfigError: the directory has no results from this version of the code, the branches are not over the
+            frequency, or `impact_rig_studies` is not installed.
     """
     try:
         from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415  # as above
@@ -197,14 +198,14 @@ def continued(directory: Path) -> Continued:
 def _parts(
     frequency_hz: NDArray[np.float64], dt: NDArray[np.float64], stable: NDArray[np.bool_]
 ) -> Iterator[list[Any]]:
-    """Yield the stable and unstable parts of a branch, in turn: [whether it is stable, [[frequency in Hz, DT], ...]].
+    """Yield the stable and unstable parts of a branch in turn, each as [is stable, [[frequency in Hz, DT], ...]].
 
     Successive parts share a point, so that the drawn line has no gap.
 
     Args:
         frequency_hz: frequencies along the branch, shape (n,).
-        dt: transmissibility there, shape (n,).
-        stable: whether the motion is stable there, shape (n,).
+        dt: transmissibility at each frequency, shape (n,).
+        stable: whether the motion is stable at each frequency, shape (n,).
     """
     points = [[round(float(f), 4), round(float(value), 4)] for f, value in zip(frequency_hz, dt, strict=True)]
     turns = (np.flatnonzero(np.diff(stable)) + 1).tolist()
@@ -215,13 +216,13 @@ def _parts(
 
 
 class Theory:
-    """Background computation of predictions for the page: only the newest request counts, outdated ones are skipped.
+    """Background computation of predictions for the page; only the newest request is computed.
 
     Args:
         on_prediction: function that receives each prediction, in a thread of this object.
 
     Attributes:
-        branches: branches read by `continued`; the lines of those that `exists` accepts are added to a prediction.
+        branches: branches read by `continued`; branches computed for the requested settings are added to a prediction.
     """
 
     def __init__(self, on_prediction: Callable[[dict[str, Any]], None]) -> None:
@@ -232,7 +233,7 @@ class Theory:
         self._closed = False
 
     def want(self, values: Mapping[str, Any], amplitude: float) -> None:
-        """Request the prediction for some settings; if they are those of the previous request, nothing happens.
+        """Request the prediction for some settings; a request equal to the previous one has no effect.
 
         Args:
             values: parameters of the rig by name.
@@ -244,16 +245,19 @@ class Theory:
             threading.Thread(target=self._compute, args=(wish,), name="lab-theory", daemon=True).start()
 
     def close(self) -> None:
-        """Drop all requests, including later ones, and wait until a running computation ends; its result is dropped."""
+        """Drop all requests, including later ones, and wait until a running computation ends.
+
+        The result of a running computation is dropped.
+        """
         self._closed, self._newest = True, None
         with self._computing:
             pass
 
     def _compute(self, wish: tuple[dict[str, Any], float]) -> None:
-        """Compute the prediction for a request when no other one is running, and pass it on, or its error as a text.
+        """Compute the prediction for a request, and pass it to `on_prediction`; an error is passed on as a text.
 
-        The request `wish` consists of the values of the rig's parameters by name, and the peak amplitude of its drive.
-        It is dropped if there is a newer one, before or after the computation.
+        The request `wish` consists of the rig's parameters by name, and the peak amplitude of its drive. Only one
+        computation runs at a time. If a newer request arrives, this request is dropped.
         """
         lower_priority()
         with self._computing:

@@ -13,18 +13,15 @@
 # limitations under the License.
 """Comparison of a measured run with the simulated model, which gets the same drive and the same analysis as the run.
 
-The drive is the measured coil current or base motion, corrected for the lag and skew of its sensor. It is streamed to
-the model as 10,000 samples per second, joined by straight lines. The motion of the model replaces the measured scans,
-and the same analysis measures it at the same times. The results of run and model therefore differ only by the constants
-of the model and the errors of the sensors. The stated uncertainty u covers the errors of the sensors: the uncertainty
-of each DT, and the effect of a wrong gain of the drive's sensor. That effect exists only with impacts, where the motion
-is not proportional to the drive. The run is divided where scans are missing and where the label of the barriers' gap
-changes; each part is simulated separately.
+The drive is the measured coil current or base motion, corrected for the lag and skew of its sensor. The motion of the
+model replaces the measured scans, and the same analysis measures it at the same times. The results of run and model
+therefore differ only by the constants of the model and the errors of the sensors. The stated uncertainty u covers the
+errors of the sensors.
 
-The drive before the first scan of a part is unknown. If the structure moves steadily in the first cycles, it was driven
-before: the sine of these cycles is continued backwards, long enough for the structure to forget the start of the model.
-Otherwise the model begins at rest. If several steady motions of the sphere are possible, the model may settle in
-another one than the rig.
+The run is divided where scans are missing and where the label of the barriers' gap changes. Each part is simulated
+separately. The drive before the first scan of a part is assumed: a sine if the structure moves steadily in the first
+cycles, otherwise zero. If several steady motions of the sphere are possible, the model may settle in another motion
+than the rig.
 """
 
 from __future__ import annotations
@@ -99,11 +96,10 @@ class ComparedPoint:
     """
 
     def off(self, column: str) -> float:
-        """Return measured minus model of the column `transmissibility` or `phase`, divided by its uncertainty.
+        """Return measured minus model of the column `transmissibility` or `phase`, divided by its standard uncertainty.
 
-        The divisor is the standard uncertainty of the difference, from the uncertainties of both rows and from the gain
-        of the drive's sensor. The effect of that gain is `more` − `model` (0 if `more`, the model's row for a larger
-        drive, is None). The result is NaN if the model did not settle.
+        The uncertainty of this difference comes from the uncertainties of both rows and from the gain of the drive's
+        sensor. The result is NaN if the model did not settle.
         """
         if self.model is None:
             return math.nan
@@ -113,7 +109,10 @@ class ComparedPoint:
 
 
 def _less(one: np.void, other: np.void, column: str) -> float:
-    """Return a column of the row `one` minus that of the row `other`; `phase` is wrapped into −π … π [rad]."""
+    """Return the difference of a column between two rows: `one` minus `other`.
+
+    For the column `phase`, the difference is wrapped into −π … π [rad].
+    """
     difference = float(one[column] - other[column])
     return math.remainder(difference, 2.0 * math.pi) if column == "phase" else difference
 
@@ -237,9 +236,10 @@ def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
 
 @attrs.frozen
 class _Stretch:
-    """Scans first … last − 1 of a run: none is missing between them, and all have the same label of the barriers' gap.
+    """Part of a run without missing scans, with one label of the barriers' gap.
 
-    `gap_m` is that label, NaN if unknown. `drive_hz` is the drive frequency at the first scan, 0 if unknown.
+    It consists of the scans `first` … `last` − 1. `gap_m` is the label, NaN if unknown. `drive_hz` is the drive
+    frequency at the first scan, 0 if unknown.
     """
 
     first: int
@@ -251,10 +251,9 @@ class _Stretch:
 class _ModelledScans:
     """All scans of a run (`true`), and the scans of the model (`model`) at the same times.
 
-    In `true`, laser, base and current are corrected for the lag and skew of their sensors, the accelerometer is not.
-    Laser and base are displacements [m], whatever their sensors measure. The scans are simulated in stretches, which
-    end where scans are missing or the label of the gap changes. `model` is zero in a stretch that has not been
-    simulated yet.
+    In `true`, laser, base and current are corrected for the lag and skew of their sensors. Laser and base are
+    displacements [m], whatever their sensors measure. The scans are simulated in stretches, which end where scans are
+    missing or the label of the gap changes. In `model`, stretches that have not been simulated yet are zero.
     """
 
     def __init__(self, run: Run, calibration: Calibration) -> None:
@@ -300,11 +299,11 @@ class _ModelledScans:
             yield _Stretch(first, last, gap, drive)
 
     def instead(self, topic: topics.Topic, table: Table) -> Table:
-        """Return the table that replaces a measured one in the analysis, so that the model is measured.
+        """Return a table of the model in place of a measured table, so that the analysis measures the model.
 
-        A table of `daq/info` is replaced by a calibration without any error, a table of `daq/scan` by the model's scans
-        at the same times. Other topics must not be passed (not checked). The tables of `daq/scan` must be passed in
-        the order of the run.
+        A table of `daq/info` is replaced by a calibration without errors. A table of `daq/scan` is replaced by the
+        model's scans at the same times. Tables of `daq/scan` must be passed in the order of the run, and other topics
+        not at all.
         """
         if topic is topics.INFO:
             rows = table.rows.copy()
@@ -322,9 +321,9 @@ class _ModelledScans:
         return Table(table.stamp_ns, rows)
 
     def at(self, excerpt: Excerpt) -> slice:
-        """Return the index range of an excerpt's scans in `true` and `model`, and fill the whole column `time` of both.
+        """Return the index range of an excerpt's scans in `true` and `model`.
 
-        The time is in seconds since the first scan of the run.
+        As a side effect, the column `time` of both is filled with the seconds since the first scan of the run.
         """
         # the time of an excerpt counts from the first scan
         offsets = np.round((self.stamps - self.stamps[0]) / NS_PER_S * self.rate_hz)
@@ -334,17 +333,18 @@ class _ModelledScans:
 
 
 def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float) -> Real:
-    """Return the true quantity behind a channel's readings, without the lag and skew of the sensor; shape (n,).
+    """Correct a channel's readings for the lag and skew of the sensor, and return the true quantity, shape (n,).
 
-    Components above the band (`BAND_HZ`, `BAND_SHARE`) are removed as noise. Velocities and accelerations are
+    Components above the frequency band (`BAND_HZ`, `BAND_SHARE`) are removed as noise. Velocities and accelerations are
     integrated to displacements [m].
 
     Args:
         values: contiguous readings in the unit of the channel, shape (n,).
         calibration: calibration of the instruments.
         channel: index of the channel in `scans.CHANNELS`.
-        drive_hz: frequency of the drive, 0 if unknown. If readings are integrated, components are removed as drift
-            that are below `LOWEST_SHARE` of it, or have less than one cycle in the readings.
+        drive_hz: frequency of the drive, 0 if unknown. If readings are integrated, slow components are removed as
+            drift. These are components below `LOWEST_SHARE` of the drive frequency, or with less than one cycle in the
+            readings.
     """
     rate = calibration.rate_hz
     around = min(round(MIRRORED_S * rate), len(values) - 1)
@@ -384,7 +384,7 @@ def _continued(values: Real, turns: float, count: int) -> Real:
 def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
     """Simulate one stretch of the run with the measured drive times `gain`, and store its scans in `scans.model`.
 
-    A stretch of fewer than `SHORTEST` scans is not simulated: its scans stay zero, as of a model at rest.
+    A stretch of fewer than `SHORTEST` scans is not simulated: its scans stay zero.
     """
     rate, own = scans.rate_hz, slice(stretch.first, stretch.last)
     measured = gain * scans.true[CHANNELS[channel]][own]
@@ -436,11 +436,10 @@ def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
 
 
 def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time_s: Real) -> Real:
-    """Return an assumed drive before the first scan, at the times `time_s` relative to that scan (< 0 [s]).
+    """Return an assumed drive at the times `time_s` before the first scan (< 0, relative to the first scan [s]).
 
-    If `structure`, the measured motion, is steady from the first scan on, the assumed drive is the sine of the first
-    cycles of `measured`, the measured drive; it rises from zero in its first `RISE_S`. Otherwise it is zero, also if
-    `drive_hz` is 0 (unknown) or the record is too short to decide.
+    If the measured motion `structure` is steady from the first scan on, the drive is the sine of the first cycles of
+    the measured drive, which rises from zero. Otherwise, or if this cannot be decided, the drive is zero.
     """
     count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
     if not 0 < 2 * count <= len(measured):
@@ -455,9 +454,9 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
 
 
 def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
-    """Return the gap [m] of each measurement: its label, or if that is unknown the gap of the model `known`.
+    """Return the gap [m] of each measurement; 0 means that there is no sphere.
 
-    A gap of 0 means that there is no sphere.
+    An unknown gap is replaced by the gap of the model `known`.
     """
     return np.asarray(np.nan_to_num(rows["gap"], nan=known.barriers.gap_m if known.sphere.present else NO_SPHERE))
 
@@ -474,10 +473,10 @@ def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
 
 
 def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]) -> Identified:
-    """Fit the constants jointly to DT without the sphere and the sphere's reductions of DT at one frequency.
+    """Fit the constants jointly to DT without the sphere and to the sphere's reductions of DT at one frequency.
 
-    Of the frequencies measured without the sphere, this is the one with the most gaps. Rows without a measured current
-    are left out. `gains` are the uncertainties of the sensors' calibration.
+    Of the frequencies measured without the sphere, it is the frequency with the most gaps. Rows without a measured
+    current are left out. `gains` are the uncertainties of the sensors' calibration.
     """
     points = [
         Point(
@@ -508,8 +507,9 @@ TRACED_CYCLES = 6  # number of drive cycles whose motion is drawn
 def drawn(found: Comparison, name: str) -> Drawn:
     """Draw a comparison in three panels; `name` is the run's name in the title.
 
-    The panels show measured minus model in standard uncertainties, the motion of the structure in the last cycles, and
-    the spectra of its measured motion and of the difference from the model over the whole excerpt.
+    The first panel shows measured minus model in standard uncertainties. The second panel shows the motion of the
+    structure in the last cycles. The third panel shows the spectra of the measured motion and of its difference from
+    the model.
     """
     figure, (apart, traces, lines) = new_axes(7.5, (1.0, 1.0, 1.0), WIDE_INCH, share=False)
     rate, drive = found.excerpt.rate_hz, found.excerpt.drive_hz

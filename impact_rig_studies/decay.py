@@ -18,13 +18,13 @@ A free decay is evaluated by a least-squares fit or by the logarithmic decrement
     y(t) = C + D t + e^{−λt} (A cos ω_d t + B sin ω_d t),   λ = ζω_n,   ω_d = ω_n √(1 − ζ²)
     ω_n = √(ω_d² + λ²),   ζ = λ/ω_n;      decrement per cycle δ = 2πλ/ω_d,   ζ = δ/√(4π² + δ²)
 
-Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. A curved
-characteristic of the sensor does change ζ: a gain that depends on the amplitude a as 1 + κ (a/a_0)² bends the envelope,
-and changes ζ by κ/2 or more, relatively (`bent`). Therefore u(f_n) contains the noise (its density near ω_d, as in
-`analysis.sine`) and the error of the clock; u(ζ) contains the noise and the curved characteristic.
+Gain, offset, skew and lag of the sensor change neither f_n nor ζ. A curved characteristic of the sensor changes ζ: a
+gain that depends on the amplitude bends the envelope of the decay (`bent`). Therefore u(f_n) contains the noise (its
+density near ω_d, as in `analysis.sine`) and the error of the clock. u(ζ) contains the noise and the curved
+characteristic.
 
-A record in which the accelerometer shows impacts gives no ζ, because the sphere takes energy as long as it strikes. A
-record whose two halves decay at different rates gives none either. `measure_decay` returns a status for both.
+There is no ζ if the accelerometer shows impacts, because the sphere takes energy as long as it strikes. There is also
+none if the two halves of the record decay at different rates. `measure_decay` returns a status for both cases.
 
 A sphere dropped from the height H0 onto the fixed barrier rebounds to H1. The operator notes both heights as a remark
 on the topic `notes`, like `drop h0_m=0.2 h1_m=0.0245`:
@@ -87,7 +87,9 @@ class DecayMethod(Protocol):
     """Interface of `fit_decay` and `log_decrement`, functions that compute f_n and ζ from a recorded free decay."""
 
     def __call__(self, y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
-        """Return natural frequency f_n and damping ratio ζ of a freely decaying displacement, or why there are none.
+        """Return natural frequency f_n and damping ratio ζ of a freely decaying displacement.
+
+        If they cannot be determined, the `status` of the result is the reason.
 
         Args:
             y: samples of the displacement, shape (n,).
@@ -159,10 +161,11 @@ def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
 
 
 def bent(decay_per_s: float, seconds: float) -> float:
-    """Return (Δζ/ζ)/κ, Δζ being the error of ζ if the sensor's gain depends on the amplitude a as 1 + κ (a/a_0)².
+    """Return (Δζ/ζ)/κ, the relative error of ζ divided by κ, for a sensor with a curved characteristic.
 
-    a_0 is the amplitude at the beginning of the record; ζ is fitted to ln a with the weights a². The result is 1/2 for
-    a record that contains the whole decay, more for a shorter one, up to 2.
+    The gain of this sensor depends on the amplitude a as 1 + κ (a/a_0)². a_0 is the amplitude at the beginning of the
+    record. ζ is fitted to ln a with the weights a². The result is 1/2 for a record that contains the whole decay, and
+    more for a shorter record, up to 2.
 
     Args:
         decay_per_s: rate λ of the decay [1/s].
@@ -217,10 +220,9 @@ def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     """Return f_n and ζ of a free decay from the amplitudes and phases of its successive cycles.
 
-    A fit over each cycle gives its amplitude and phase. Cycles from the first one too weak for a logarithm on are left
-    out. Straight lines over the time are fitted to the logarithm of the amplitude and to the phase, both weighted with
-    the squared amplitudes. Their slopes, the decay rate and the damped frequency, give ζ and f_n. The uncertainties
-    come from the scatter about the lines, that of f_n also from `u_clock`. The arguments are those of `DecayMethod`.
+    Straight lines over the time are fitted to the logarithm of the amplitude and to the phase. Their slopes, the decay
+    rate and the damped frequency, give ζ and f_n. Cycles from the first weak cycle on are left out. The uncertainties
+    come from the scatter about the lines and, for f_n, from `u_clock`. The arguments are those of `DecayMethod`.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -293,9 +295,8 @@ def _straight_line(phasors: Complex, middles: Real) -> tuple[complex, Complex, R
     The weights w are the squared amplitudes.
 
     Returns:
-        (slope [1/s]: −λ + i(ω_d − ω) for phasors at ω, residuals of the logarithms, w / Σ w (t − mean)²). The sum of
-        the last result times the squared real (imaginary) residuals, over (cycles − 2), is the variance of the slope's
-        real (imaginary) part.
+        (slope [1/s], residuals of the logarithms, w / Σ w (t − mean)²). For phasors at ω, the slope is −λ + i(ω_d − ω).
+        The last result and the residuals give the variance of the slope.
     """
     weights = np.abs(phasors) ** 2
     logs = np.log(np.abs(phasors)) + 1j * np.unwrap(np.angle(phasors))
@@ -396,8 +397,8 @@ def parse_drop(remark: str) -> DropHeights | None:
 class DropTest:
     """Mean coefficient of restitution of `drops` drops, with its standard uncertainty.
 
-    Both are NaN if `status` is not `ok`, because of an invalid height or uncertainty. One drop is enough for `ok`, but
-    its uncertainty is NaN if the heights have none.
+    Both are NaN if `status` is not `ok`, because of an invalid height or uncertainty. The uncertainty is also NaN for a
+    single drop whose heights have no uncertainty.
     """
 
     status: Status

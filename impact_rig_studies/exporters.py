@@ -40,7 +40,7 @@ The function receives the suffix of the file to write, such as `.csv`.
 def map_points(directory: Path) -> Tables | None:
     """Return the map in a directory as the table `points`; None if the directory contains no map.
 
-    The map is read only when the table is exported, by the function that stands for the table (see `Tables`).
+    The map is read only when the returned function is called (see `Tables`).
     """
     if not maps.store(directory).file.exists():
         return None
@@ -51,7 +51,7 @@ def study_rows(directory: Path) -> Tables | None:
     """Return the tables of the dynamics studies in a directory, by kind of study.
 
     Only kinds with results are contained. If there is only one kind, its table is also contained as `points`. The
-    result is None if the directory is not that of dynamics studies.
+    result is None if the directory contains no dynamics studies.
     """
     if not dynamics.store(directory).file.exists():
         return None
@@ -64,10 +64,10 @@ def study_rows(directory: Path) -> Tables | None:
 
 
 def campaign_points(directory: Path) -> Tables | None:
-    """Return the table of the campaign in a directory, as `points`; None if the directory contains no campaign.
+    """Return the campaign in a directory as the table `points`; None if the directory contains no campaign.
 
-    The table is a function of the suffix of the file to write. For a universal file (`.uff`) the columns are those of
-    DT over the frequency, else those of `points.csv`.
+    The columns depend on the suffix of the file to write. A universal file (`.uff`) has the columns of curves of DT
+    over frequency. All other files have the columns of `points.csv`.
     """
     if not (directory / CAMPAIGN_FILE).exists():
         return None
@@ -82,8 +82,8 @@ def campaign_points(directory: Path) -> Tables | None:
 def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
     """Return the settled points as columns for a universal file: magnitude and phase [rad] of X_1/X_b over frequency.
 
-    The column `curve` names the curve to which a point belongs: one curve per study, gap, direction, current and values
-    of the other axes.
+    The column `curve` contains the name of the curve to which each point belongs. Each combination of study, gap,
+    direction, current and further axes is a curve.
 
     Raises:
         RecordingError: no point is settled.

@@ -55,12 +55,12 @@ SHOWN = 3  # largest number of points listed in the message that no point settle
 
 
 def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> tuple[Finished, list[str]]:
-    """Write a campaign from imported runs; return it, and a line of text for each point left out as it never settled.
+    """Write a campaign from imported runs; return it, and a text for each point that is left out as not settled.
 
-    Properties of the instruments that a certificate, a mapping or an option states must be the same in all runs.
-    Properties that the import estimated from the data may differ, scan rates only by `SAME_RATE`. The campaign then has
-    a stated value, or if all are estimated, the first run's, and of several resolutions the coarsest. If the same run
-    measured a point several times, its last settled measurement counts.
+    Properties of the instruments that a user or certificate states must be the same in all runs. Properties that the
+    import estimated from the data may differ. A stated value takes precedence over an estimated value. Of estimated
+    values, that of the first run counts, or the coarsest resolution. Scan rates may differ only by `SAME_RATE`. If a
+    run measured a point several times, the last settled measurement counts.
 
     Args:
         runs: imported runs of one rig, with the same instruments.
@@ -128,9 +128,9 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
 
 
 def _unsettled(rows: NDArray[np.void]) -> list[str]:
-    """Return a text with gap, frequency and last status for each point of `rows` without a settled measurement.
+    """Return a text with gap, frequency and last status for each point without a settled measurement.
 
-    If `rows` is empty, the only text is "nothing was measured".
+    `rows` contains the measurements. If it is empty, the only text is "nothing was measured".
     """
     points = [case_of(gap) + (f" at {hz:.4g} Hz" if hz > 0.0 else "") for gap, hz in rows[["gap", "frequency"]]]
     settled = {point for point, row in zip(points, rows, strict=True) if row["settled"] == 1.0}
@@ -140,9 +140,9 @@ def _unsettled(rows: NDArray[np.void]) -> list[str]:
 
 
 def _known(value: float, known: set[float], same: float) -> float:
-    """Return the smallest of `known` that differs from `value` by at most `same`; if there is none, `value` rounded.
+    """Return the smallest number in `known` that differs from `value` by at most `same`; otherwise `value`, rounded.
 
-    The rounded value is a multiple of the largest power of ten <= `same`. `known` is not changed.
+    The rounding error is smaller than `same`.
     """
     near = (one for one in sorted(known) if abs(one - value) <= same)
     return next(near, round(value, math.ceil(-math.log10(same))))
@@ -157,10 +157,10 @@ class _Sensors:
     estimated: dict[str, tuple[str, ...]]  # columns whose values the import estimated from the data, by channel
 
     def joined(self, other: _Sensors) -> _Sensors:
-        """Return the common calibration of these runs and of a further one, `other`.
+        """Return the common calibration of these runs and of the run `other`.
 
-        Two stated values must be equal. A stated value replaces an estimated one. Of two estimated values the first
-        counts, or the coarser resolution. Scan rates, if one is estimated, may differ by at most `SAME_RATE`.
+        Stated values must be equal. A stated value replaces an estimated value. Of two estimated values the first
+        counts, or the coarser resolution. If a scan rate is estimated, scan rates may differ by at most `SAME_RATE`.
 
         Raises:
             RecordingError: the channels or a stated property differ; the message names channel, column and both values.

@@ -145,9 +145,10 @@ class Manifold:
         return 2.0 * math.hypot(self.kappa, self.rho) / self.rho
 
     def theta(self, xi: Real | float) -> Real:
-        """Return Θ of the motion for ξ = A/b (see `Manifold`); NaN below the fold, where no such motion exists.
+        """Return Θ of the motion for a given ξ, the structure's amplitude over half the gap.
 
-        Of the two solutions of the quadratic equation the larger is returned, since the smaller is never stable.
+        The result is NaN below the fold, where no such motion exists. Of two solutions, the larger one is returned,
+        since the smaller one is never stable.
         """
         both = self.kappa**2 + self.rho**2
         square = both * np.asarray(xi, float) ** 2 - self.rho**2
@@ -155,18 +156,19 @@ class Manifold:
         return (self.kappa + root) / both
 
     def xi(self, theta: Real | float) -> Real:
-        """Return ξ = A/b, the structure's amplitude over half the gap, of motions with Θ; never NaN.
+        """Return ξ, the structure's amplitude over half the gap, of the motion with a given Θ.
 
-        `theta` is Θ, the sphere's amplitude over half the gap. The result has its shape.
+        `theta` is Θ, the sphere's amplitude over half the gap. The result has the shape of `theta`.
         """
         found: Real = np.hypot(self.kappa * np.asarray(theta, float) - 1.0, self.rho * np.asarray(theta, float))
         return found
 
     def force(self, theta: Real) -> Complex:
-        """Return N / (m ω²), complex: N is the fundamental of the sphere's force on the structure per displacement.
+        """Return the complex force N / (m ω²) of the sphere on the structure.
 
-        The displacement is that of the structure; m is the mass of the sphere. The real part acts as an added mass, the
-        negative imaginary part as damping. `theta` is Θ, the amplitude of the sphere over half the gap.
+        N is the fundamental of the force, per displacement of the structure, and m is the mass of the sphere. The real
+        part acts as an added mass, the negative imaginary part as damping. `theta` is Θ, the amplitude of the sphere
+        over half the gap.
         """
         top = theta * (self.kappa * theta - 1.0) - 1j * self.rho * theta**2
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
@@ -180,17 +182,17 @@ class Manifold:
         return found
 
     def approach_speed(self, theta: Real) -> Real:
-        """Return the sphere's speed relative to the wall before an impact, 4Θ(1 + μ) / (π(1 + e)).
+        """Return the sphere's speed relative to the wall before an impact, in units of ω b.
 
-        Its unit is ω b, with b half the gap. `theta` is Θ, the amplitude of the sphere over b.
+        The value is 4Θ(1 + μ) / (π(1 + e)). `theta` is Θ, the amplitude of the sphere over b, which is half the gap.
         """
         found: Real = 4.0 * (1.0 + self.mass_ratio) / (math.pi * (1.0 + self.restitution)) * theta
         return found
 
     def stable(self, theta: Real) -> NDArray[np.bool_]:
-        """Return for each Θ (sphere's amplitude over half the gap) whether small errors of the sphere's motion decay.
+        """Return for each Θ whether the motion of the sphere is stable, that is, whether small errors decay.
 
-        The motion of the structure is taken as given. Its recoil only affects the lower bound of Θ, the fold.
+        Θ is the sphere's amplitude over half the gap. The motion of the structure is taken as given.
         """
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
@@ -250,7 +252,10 @@ class Branch:
         return Branch(**{field.name: getattr(self, field.name)[which] for field in attrs.fields(Branch)})
 
     def reduction_percent(self, config: MechanicsSetup) -> Real:
-        """Return 100 (1 − DT / DT without the sphere) of each motion [%]; `config` is the rig, for the latter DT."""
+        """Return the reduction of DT by the sphere of each motion, 100 (1 − DT / DT without the sphere) [%].
+
+        `config` is the rig, which is needed for DT without the sphere.
+        """
         without: Real = np.abs(transmissibility(config, self.frequency_hz))
         return 100.0 * (1.0 - self.dt / without)
 
@@ -287,7 +292,7 @@ class HeldDrive:
 
 
 class _Answer(NamedTuple):
-    """Response of the linear rig to drive and sphere for given Θ (sphere's amplitude over half the gap), and gaps."""
+    """Response of the linear rig to drive and sphere for given Θ, the sphere's amplitude over half the gap."""
 
     ratio: Complex  # X_1 / X_b
     current_a: Real
@@ -298,7 +303,7 @@ class _Answer(NamedTuple):
 
 @attrs.frozen
 class LinearRig:
-    """Data of a rig for the closed-form prediction: linear constants, mass and two-impact motions of the sphere."""
+    """Data of a rig for the closed-form prediction: linear constants, mass of the sphere, and its motions."""
 
     linear: Constants
     sphere_kg: float
@@ -330,17 +335,17 @@ class LinearRig:
         return cls(linear, sphere_kg, Manifold(restitution, sphere_kg / linear.m_1 if recoil else 0.0))
 
     def thetas(self) -> Real:
-        """Return a grid of Θ, the sphere's amplitude over half the gap, for a branch.
+        """Return an ascending grid of Θ for a branch, from the fold to beyond the bound of stable motion.
 
-        It is ascending, from the fold to beyond the bound of stable motion, and denser near the fold.
+        Θ is the sphere's amplitude over half the gap. The grid is denser near the fold.
         """
         low, high = self.manifold.theta_fold * (1.0 + _NEAR_FOLD), BEYOND * THETA_SYMMETRIC
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
     def gaps(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> Real:
-        """Return the gap [m] at which the motion with each Θ occurs; every Θ has one, > 0.
+        """Return the gap [m] at which the motion with each Θ occurs; it is > 0.
 
-        `theta` is Θ, the sphere's amplitude over half the gap; it and `frequency_hz` are broadcast.
+        `theta` is Θ, the sphere's amplitude over half the gap. `theta` and `frequency_hz` are broadcast.
         """
         return self._answer(theta, frequency_hz, held).gap_m
 
@@ -394,10 +399,9 @@ class LinearRig:
     def _multipliers(self, theta: Real, frequency_hz: Real, answer: _Answer, held: HeldDrive) -> Complex:
         """Return the Floquet multipliers of each motion over half a cycle; shape (n, 6), or (n, 4) for a held base.
 
-        Small errors of rig and sphere grow if one of them is outside the unit circle. The multipliers are the
-        eigenvalues of −S Φ. Φ is the transition matrix of the flight between impacts, S the saltation matrix of the
-        impact that ends it. The sign mirrors the state, because the second half cycle mirrors the first. `theta` is Θ,
-        the sphere's amplitude over half the gap.
+        A motion is unstable if a multiplier is outside the unit circle. The multipliers are the eigenvalues of −S Φ,
+        with the transition matrix Φ of the flight between impacts, and the saltation matrix S of the impact. `theta` is
+        Θ, the sphere's amplitude over half the gap.
 
         Source: Leine & Nijmeijer 2004, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7.
         """
@@ -443,9 +447,9 @@ class LinearRig:
 
 
 def _kinds(multipliers: Complex) -> NDArray[np.str_]:
-    """Return `Branch.kind` of each motion, from the largest of its multipliers.
+    """Return for each motion whether it is stable, or how it loses its stability, as in `Branch.kind`.
 
-    The multipliers are those of half a cycle, shape (n, k).
+    The largest of its Floquet multipliers of half a cycle decides. The multipliers have the shape (n, k).
     """
     largest = np.take_along_axis(multipliers, np.abs(multipliers).argmax(axis=1)[:, None], axis=1)[:, 0]
     paired = np.abs(largest.imag) > PAIRED * np.abs(largest)
@@ -464,9 +468,9 @@ def branch(
 ) -> Branch:
     """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
 
-    The motions are in the order of increasing Θ, the sphere's amplitude over half the gap, from the fold on. Those
-    above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. The branch always has `POINTS` motions.
-    Exactly one of `current_a`, `base_m` and `superior_m` must be given: it is held constant along the branch.
+    The motions are in the order of increasing Θ, the sphere's amplitude over half the gap, starting at the fold. The
+    branch has `POINTS` motions and ends where motions are unstable. Exactly one of `current_a`, `base_m` and
+    `superior_m` must be given. This quantity is held constant along the branch.
 
     Args:
         config: the rig; its own gap is ignored.
@@ -496,9 +500,9 @@ def at(
 ) -> Branch:
     """Return all motions with two symmetric impacts per cycle at one frequency and gap.
 
-    The largest amplitude of the sphere is first. The branch has the length 0 if there are no such motions. As in
-    `branch`, those with Θ (amplitude of the sphere over half the gap) above `BEYOND` · `THETA_SYMMETRIC`, which are
-    unstable, are left out. Exactly one of `current_a`, `base_m` and `superior_m` must be given.
+    The motion with the largest amplitude of the sphere is first. The result has the length 0 if there are no such
+    motions. Unstable motions beyond the end of a `branch` are left out. Exactly one of `current_a`, `base_m` and
+    `superior_m` must be given.
 
     Raises:
         ConfigError: as for `branch`.
@@ -520,9 +524,9 @@ def curves(
 ) -> list[Branch]:
     """Return the motions with two symmetric impacts per cycle at one gap, as curves over the frequency.
 
-    Each branch in the list is one continuous curve; the list is empty if there are no such motions. Curves end, and new
-    ones begin, where the number of motions at a frequency changes. Exactly one of `current_a`, `base_m` and
-    `superior_m` must be given. The arguments are those of `branch`, but `frequencies_hz` is ascending, shape (n,).
+    Each branch in the list is one continuous curve. The list is empty if there are no such motions. Curves end and
+    begin where the number of motions changes. The arguments are those of `branch`, but `frequencies_hz` is ascending,
+    shape (n,). Exactly one of `current_a`, `base_m` and `superior_m` must be given.
 
     Raises:
         ConfigError: as for `branch`.
@@ -585,10 +589,10 @@ def best_gap(motions: Branch) -> Branch:
 
 
 def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) -> list[Real]:
-    """Return Θ, the sphere's amplitude over half the gap, of all motions with two symmetric impacts at this gap.
+    """Return Θ of all motions with two symmetric impacts per cycle at one gap, as one array per frequency.
 
-    The result is one array per frequency, each in descending order of Θ. Θ above `BEYOND` · `THETA_SYMMETRIC` are left
-    out. `held` is the amplitude that is held constant: that of the coil current, the inferior or the superior base.
+    Θ is the sphere's amplitude over half the gap. Each array is in descending order of Θ. Values above `BEYOND` ·
+    `THETA_SYMMETRIC` are left out. `held` is the amplitude that is held constant.
     """
     grid = rig.thetas()
     rows, columns = [], []
@@ -610,9 +614,9 @@ def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) 
 
 
 def _stretches(counts: list[int]) -> Iterator[tuple[int, int]]:
-    """Yield (first, end) of each longest range of indices first … end − 1 whose counts are equal and > 0.
+    """Yield (first, end) of each longest run of equal counts > 0; the run has the indices first … end − 1.
 
-    Over such a range of frequencies each motion can be followed as one curve.
+    `counts` are the numbers of motions at successive frequencies.
     """
     first = 0
     for place in range(1, len(counts) + 1):

@@ -76,9 +76,9 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
 
 
 def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
-    """Return the relative standard uncertainty of the mean transmissibility, without the part of the sensitivities.
+    """Return the relative standard uncertainty of the mean transmissibility, without that of the sensitivities.
 
-    This uncertainty remains in the quotient of two measurements, in which errors of the sensitivities cancel.
+    This uncertainty remains in the quotient of two measurements. The errors of the sensors' sensitivities cancel there.
 
     Args:
         rows: settled rows of `transmissibility/table` at one gap and frequency, shape (n,), n >= 1.
@@ -102,10 +102,10 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
 
 
 def _steps(rows: NDArray[np.void]) -> float:
-    """Return the relative variance of DT due to the resolution steps of sensors and converter: the mean over the rows.
+    """Return the relative variance of DT due to the resolution steps of sensors and converter.
 
-    All rows have the same error of this kind, so their mean DT has this variance as well. A row counts as 0 if its
-    column `steps_uncertainty` is NaN, as in rows of an earlier version.
+    This is the mean over the rows. It also applies to the mean DT, because the error is the same in all rows. A row
+    whose column `steps_uncertainty` is NaN counts as 0.
     """
     return float(np.mean((np.nan_to_num(rows["steps_uncertainty"]) / rows["transmissibility"]) ** 2))
 

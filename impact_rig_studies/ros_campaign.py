@@ -38,7 +38,7 @@ It is first called with None, before the rig is prepared, then with the sweep at
 
 
 def run_name(job: Job) -> str:
-    """Return the name of a job's recording, a directory: gap, frequencies and key, as in `gap4mm_9.1Hz_<key>`."""
+    """Return the directory name of a job's recording: gap, frequencies and key, as in `gap4mm_9.1Hz_<key>`."""
     case = job.describe().replace(", ", "_").replace(" ", "")
     return f"{case}_{job.key}"
 
@@ -49,11 +49,11 @@ def ros_runner(
     name: Callable[[Job], str] = run_name,
     watch: Watch = lambda _job, _sweep: None,
 ) -> Runner:
-    """Return a function that measures jobs on a rig, an analysis and a recorder running as ROS node processes.
+    """Return a function that measures jobs with a rig, an analysis and a recorder running as ROS node processes.
 
-    The processes start when the first job is requested, and end after the last. Since scan rate and block length are
-    fixed at their start, jobs that differ in them are measured by different processes, one group after the other. The
-    order of the results is then not that of the given jobs.
+    The processes start when the first job is requested, and end after the last. Jobs that differ in scan rate or block
+    length need different processes. Such jobs are measured in groups, so the order of the results can differ from the
+    order of the jobs.
 
     Args:
         logs: directory in which a folder `logs` is created for the logs of the processes.

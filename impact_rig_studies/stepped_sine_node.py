@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""ROS node that commands a rig over topics to measure a curve (sweep), or to find and hold a resonance (phase lock)."""
+"""ROS node that runs a sweep (measures a curve) or a phase lock (finds and holds a resonance) on a rig."""
 
 from __future__ import annotations
 
@@ -79,15 +79,18 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
         return LockPlan(start_hz=self.points()[0], **{name: getattr(self, name) for name in names})
 
     def sweep(self) -> SteppedSine:
-        """Return a new sweep at the commanded current or with a controlled amplitude; not for a phase lock."""
+        """Return a new sweep with a constant current (`hold` is `command`) or with a controlled amplitude.
+
+        Do not call this for a phase lock.
+        """
         return SteppedSine(self) if self.hold == COMMAND else ControlledSine(self, self)
 
 
 class SteppedSineNode(ManagedNode[SteppedSineSettings]):
-    """Lifecycle node that measures a curve, one frequency after the other, or finds and holds a resonance (phase lock).
+    """Lifecycle node that runs a sweep or a phase lock on a rig, and publishes the measurements.
 
-    For a phase lock it subscribes to the scans as well, and acknowledges each block of them, so that a rig in lockstep
-    can wait for it.
+    For a phase lock, the node also subscribes to the scans. It acknowledges each block of scans, so that a rig in
+    lockstep can wait for the node.
     """
 
     COMPONENT = "sweep"
@@ -112,7 +115,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.offer(topics.FREQUENCY, topics.CURRENT, topics.SWEEP, topics.ACK)
 
     def activate(self) -> None:
-        """Subscribe to rig and analysis; if `begin` is set, start the sweep once nothing that it needs is missing."""
+        """Subscribe to the topics of rig and analysis, and start a sweep if `begin` is set.
+
+        The sweep starts as soon as everything that it needs is available, such as a running rig.
+        """
         self._now_ns, self._pending = None, self.settings.begin
         self.until_deactivated(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
@@ -125,9 +131,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.every(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
-        """Abort a running sweep, acknowledge the received blocks of scans, and unsubscribe from them.
+        """Abort a running sweep, which commands zero current, and unsubscribe from the scans.
 
-        The abort commands zero current. If ROS is shut down already, nothing is aborted or commanded.
+        All received blocks of scans are acknowledged. If ROS is shut down already, nothing is aborted or commanded.
         """
         if self._operator is not None and self.context.ok():
             self._operator.abort("the node was deactivated")
@@ -141,7 +147,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self._operator = None
 
     def settings_changed(self, settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
-        """Apply changed parameters to the next sweep; subscribe to the scans if it needs them, else unsubscribe.
+        """Apply changed parameters to the next sweep.
+
+        An active node also subscribes to the scans if the next sweep is a phase lock, and unsubscribes otherwise.
 
         Raises:
             ConfigError: a sweep is running.
@@ -166,7 +174,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return self._now_ns
 
     def doing(self) -> NodeState:
-        """Return the state that the node publishes: idle, running or done; or, with a reason, waiting or aborted."""
+        """Return the state that the node publishes: idle, waiting, running, done or aborted.
+
+        The states waiting and aborted have a reason.
+        """
         words = states.SteppedSineWord
         if self._pending:
             return NodeState(words.WAITING, self._missing() or "about to begin")
@@ -180,7 +191,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def health(self) -> tuple[Level, str]:
         """Return level and text for diagnostics: progress or abort of the sweep, or what prevents its start.
 
-        The text is the lifecycle state if the node is not active.
+        If the node is not active, the text is the lifecycle state.
         """
         if self.state != "active":
             return Level.WARN, self.state
@@ -196,7 +207,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def figures(self) -> Mapping[str, object]:
         """Return numbers about the running or last sweep by name, for the diagnostics.
 
-        It is empty if the node is not active, has had no sweep, or waits to begin one.
+        The result is empty if the node is not active, has had no sweep, or waits to begin a sweep.
         """
         if self.state != "active" or self._pending or self._operator is None:
             return {}

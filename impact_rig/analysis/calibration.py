@@ -84,10 +84,10 @@ ACROSS = np.linspace(-1.0, 1.0, 9)
 
 
 def bessel_j_1(x: Real) -> Real:
-    """Return the Bessel function J_1 of each element of `x`, as the mean of cos(θ − x sin θ) over θ.
+    """Return the Bessel function J_1 of each element of `x`.
 
-    The error is below 1e-12 for |x| <= J_1_NODES / 2. `scipy.special.j1` gives the same, but importing it would take
-    60 MB of memory in a node that runs for days.
+    The method is the mean of cos(θ − x sin θ) over θ. The error is below 1e-12 for |x| <= J_1_NODES / 2.
+    `scipy.special.j1` is not used because its import takes 60 MB of memory.
     """
     angle = 2.0 * np.pi * np.arange(J_1_NODES) / J_1_NODES
     return np.asarray(np.cos(angle - x[..., None] * np.sin(angle)).mean(axis=-1))
@@ -111,9 +111,9 @@ _REMEDY = "correct the program that publishes it"
 
 @attrs.frozen(eq=False)
 class Calibration:
-    """Calibration of the channels: the columns of `daq/info`, each as an array in the order of `scans.CHANNELS`.
+    """Calibration of the channels: one array per column of `daq/info`, in the order of `scans.CHANNELS`.
 
-    A channel that is not `present` has an infinite range and otherwise zeros.
+    A channel that `daq/info` does not list is not `present`. Its range is infinite, and its other figures are zero.
     """
 
     rate_hz: float  # scans per second; an int if it is an integer
@@ -146,13 +146,14 @@ class Calibration:
 
     @classmethod
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
-        """Return the calibration in the rows of a `daq/info` table, which may have any order.
+        """Return the calibration in the rows of a `daq/info` table, in any order.
 
-        A channel without a row is not `present`. NaN (unknown) becomes 0, but is an error in rate, range or lag order.
+        A channel without a row is not `present`. NaN (unknown) becomes 0, but is an error in rate, range and lag order.
 
         Raises:
-            ConfigError: no row is of a known channel, or two rows are of the same one; or the rates differ, are not
-                positive or too high, a range is empty, a lag order is unknown, or a figure is too large.
+            ConfigError: no row is of a known channel, or a known channel has several rows. The rates differ, are not
+                positive or are too high. A range is empty, a lag order is unknown, or a finite figure is beyond
+                ±`LARGEST`.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
         counts = np.array([names.count(channel) for channel in CHANNELS])
@@ -216,12 +217,14 @@ class Calibration:
         return tuple(name for name, there in zip(CHANNELS, self.present.tolist(), strict=True) if not there)
 
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
-        """Return the response of a channel, (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew}, in the shape of `frequency_hz`.
+        """Return the complex frequency response of a channel, (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew}.
 
-        L is the lag, P the high-pass of the sensor (module docstring). For laser and base, the response is the measured
-        phasor [unit of the channel] divided by that of the displacement [m]; n is 1 if the channel measures velocity, 2
-        if acceleration, else 0. For accelerometer and current, it is the measured phasor divided by the true one, and n
-        is 0. Divide a measured phasor by it to correct the phasor.
+        The result has the shape of `frequency_hz`. Divide a measured phasor by the response to correct the phasor. L is
+        the sensor's lag and P its high-pass (module docstring).
+
+        For laser and base, the response is the measured phasor [unit of the channel] divided by the phasor of the
+        displacement [m]. The exponent n is 1 for a channel that measures velocity, 2 for acceleration, and otherwise 0.
+        For accelerometer and current, n is 0, and the response is the measured phasor divided by the true phasor.
         """
         omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         lag = LAG_MODELS[int(self.lag_order[channel])](omega * self.lag[channel])
@@ -233,23 +236,23 @@ class Calibration:
         return response * (1j * omega) ** order if order else response
 
     def scale(self, channel: int, frequency_hz: float) -> float:
-        """Return ωⁿ of a channel: the amplitude of a sine in its unit divided by that of the displacement [m].
+        """Return the factor ωⁿ from the amplitude of a displacement [m] to that of a channel [unit of the channel].
 
-        For accelerometer and current, n is 0 and the result 1.
+        The exponent n is the channel's `derivative`. For accelerometer and current, n is 0 and the result is 1.
         """
         return float((2.0 * math.pi * frequency_hz) ** int(self.derivative[channel]))
 
     def scales(self, frequency_hz: float) -> Real:
-        """Return ωⁿ (`scale`) of every channel, which is 1 for accelerometer and current, shape (4,)."""
+        """Return the factor ωⁿ of every channel (see `scale`), shape (4,)."""
         return np.array([self.scale(channel, frequency_hz) for channel in range(len(CHANNELS))])
 
     def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:
         """Return the relative standard uncertainty of a channel's gain for a vibration about mid-range.
 
-        `amplitude` is that of the vibration [unit of the channel]. The field `gain_uncertainty` is that for a small
-        vibration: it contains 1.5 u(c_3) L/R, the effect of the sensor's curve on the slope at mid-range. For a
-        vibration of amplitude a·R, this is replaced by (1.5 − 1.875 a²) u(c_3) L/R. R is half the range, L the
-        `linearity`, and c_3 the unknown share of the cubic in the curve (module docstring).
+        `amplitude` is the amplitude of the vibration [unit of the channel]. The uncertainty depends on the amplitude
+        because the sensor is not linear. The field `gain_uncertainty` applies to small vibrations. For an amplitude
+        a·R, its term 1.5 u(c_3) L/R is replaced by (1.5 − 1.875 a²) u(c_3) L/R. R is half the range, L the `linearity`,
+        and c_3 the unknown cubic share of the sensor's curve (module docstring).
         """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         curve = float(self.linearity[channel]) / half_range * U_CUBIC
@@ -258,10 +261,10 @@ class Calibration:
         return math.sqrt(max(small - (1.5 * curve) ** 2, 0.0) + ((1.5 - 1.875 * share**2) * curve) ** 2)
 
     def curvature_uncertainty(self, channel: int, amplitude: float) -> float:
-        """Return how uncertain the ratio of a channel's gains at two amplitudes is, because its sensor is not linear.
+        """Return the uncertainty of the ratio of a channel's gains at two amplitudes, because the sensor is not linear.
 
-        It is the relative standard uncertainty of the gain for a vibration of `amplitude` [unit of the channel] divided
-        by the gain for a very small vibration.
+        The ratio is the gain for a vibration of `amplitude` [unit of the channel] divided by the gain for a very small
+        vibration. The result is a relative standard uncertainty.
         """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         return float(self.linearity[channel]) / half_range * U_CUBIC * 1.875 * (amplitude / half_range) ** 2
@@ -284,9 +287,9 @@ class Calibration:
         return math.hypot(math.sqrt(2.0 * float(weight**2 @ power)), truncated)
 
     def steps_variance(self, channel: int) -> float:
-        """Return the variance [unit²] of that part of a channel's rounding error that noise does not average out.
+        """Return the variance [unit²] of the part of a channel's rounding error that noise does not average out.
 
-        It is at most r²/12 + q²/12, for the steps r of the sensor and q of the converter.
+        The variance is at most r²/12 + q²/12, where r is the step of the sensor and q the step of the converter.
         """
         return 0.5 * float(np.sum(self._roundings[channel][1] ** 2))
 
@@ -295,9 +298,9 @@ class Calibration:
         return [self._rounding(channel) for channel in range(len(CHANNELS))]
 
     def _rounding(self, channel: int) -> tuple[Real, Real]:
-        """Return a [1/unit] and c [unit] of the n sines c sin(a·value) whose sum is the error of rounding.
+        """Return the sines c sin(a·value) whose sum is the rounding error of a channel.
 
-        Each of the two arrays has shape (n,); n is 0 for a channel without steps.
+        The result is (a [1/unit], c [unit]), each of shape (n,). A channel without steps has n = 0.
         """
         r, q = float(self.output_step[channel]), float(self.converter_step[channel])
         blur_r, blur_q = float(self.output_noise[channel]), float(self.converter_noise[channel])
@@ -321,8 +324,8 @@ class Calibration:
     def noise_crowding(self) -> Real:
         """Return the noise power density of each channel at low frequencies, relative to white noise of the same rms.
 
-        White noise, with the result 1, fills the band up to rate / 2. Noise that a sensor limits to a narrower band is
-        denser, with a result above 1. The shape is (4,).
+        The shape is (4,). The result is 1 for noise that fills the band up to rate / 2. It is above 1 if the sensor
+        limits the noise to a narrower band.
         """
         noise_band = TWO_POLE_NOISE * np.where(self.bandwidth > 0.0, self.bandwidth, np.inf)
         return np.asarray(np.maximum(1.0, self.rate_hz / (2.0 * noise_band)), dtype=np.float64)
@@ -330,11 +333,10 @@ class Calibration:
     def lag_uncertainties(self, channel: int, frequency_hz: float, lag_uncertainty: float) -> tuple[float, float]:
         """Return the standard uncertainties of a channel's amplitude (relative) and phase [rad] due to its lag.
 
-        `lag_uncertainty` is the relative standard uncertainty of the lag. A channel whose lag is modelled as a pure
-        delay (`lag_order` 0) has an additional uncertainty of its amplitude, because the model omits the attenuation by
-        the sensor's low-pass. With two or more poles and the corner `bandwidth`, that attenuation is at most
-        1 − 1/√(1 + (f/bandwidth)⁴), and is taken as uniformly distributed up to that. It is left out if `bandwidth` is
-        0 (unknown).
+        `lag_uncertainty` is the relative standard uncertainty of the lag. If the lag is modelled as a pure delay
+        (`lag_order` 0), the model omits the attenuation by the sensor's low-pass. The amplitude then has an additional
+        uncertainty, unless `bandwidth` is 0 (unknown). The omitted attenuation is assumed to be uniformly distributed
+        between 0 and 1 − 1/√(1 + (f/bandwidth)⁴), the value of a two-pole low-pass.
         """
         slope = self.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
         left_out = 0.0
@@ -343,11 +345,10 @@ class Calibration:
         return math.hypot(slope.real, left_out), abs(slope.imag)
 
     def lag_sensitivity(self, channel: int, frequency_hz: float) -> complex:
-        """Return d ln L / d ln lag, the relative change of L per relative change of the lag of a channel's sensor.
+        """Return d ln L / d ln lag, the relative change of the response L per relative change of the sensor's lag.
 
-        L is the response in `LAG_MODELS` for the channel's `lag_order`.
-
-        The real part is the relative change of the amplitude, the imaginary part that of the phase [rad].
+        L is the response in `LAG_MODELS` for the channel's `lag_order`. The real part of the result is the relative
+        change of the amplitude. The imaginary part is the change of the phase [rad].
         """
         omega_lag = np.asarray(2.0 * np.pi * frequency_hz * self.lag[channel])
         model = LAG_MODELS[int(self.lag_order[channel])]
@@ -356,13 +357,13 @@ class Calibration:
 
 
 def _by_channel(column: NDArray[np.float64], present: NDArray[np.bool_]) -> str:
-    """Return the values of the channels that are present, each with the name of its channel, for an error message."""
+    """Return the values of the present channels as text for an error message, each with the name of its channel."""
     found = zip(CHANNELS, column.tolist(), present.tolist(), strict=True)
     return ", ".join(f"{value!r} ({name})" for name, value, there in found if there)
 
 
 def _finite(column: NDArray[np.float64]) -> Real:
-    """Return a column of `daq/info` with 0 instead of NaN (an unknown figure); infinity (an unlimited range) stays."""
+    """Return a copy of a column of `daq/info` in which NaN (unknown) is replaced with 0; infinity is kept."""
     values = np.array(column, dtype=np.float64)
     values[np.isnan(values)] = 0.0
     return values

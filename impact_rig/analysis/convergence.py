@@ -11,12 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Convergence of a motion to a periodic one, judged by a short record with one row per cycle of the drive.
+"""Detection of a periodic motion in a short record with one row per drive cycle.
 
-A row holds the complex amplitudes of both bases at the drive frequency, and position and velocity of the sphere at the
-start of the cycle. A motion has settled when every number of a row changes from one period to the next by little, and
-all further changes, estimated as a geometric series, are together as small. The changes of x_b are relative to the mean
-amplitude of the inferior base, those of x_1, x_2 and v_2/ω to that of the superior base.
+A row holds the complex amplitudes x_b and x_1 of both bases at the drive frequency. It also holds position x_2 and
+velocity v_2 of the sphere at the start of the cycle. A motion has settled when every number of a row changes little
+from one period to the next, and the sum of all later changes is as small. This sum is extrapolated as a geometric
+series. Changes of x_b are relative to the mean amplitude of the inferior base. Changes of x_1, x_2 and v_2/ω are
+relative to that of the superior base.
 """
 
 from __future__ import annotations
@@ -36,17 +37,17 @@ _ROUNDING = 1e-9  # relative change of a cycle that counts as none
 def settled_period(
     rows: Reals, strikes: Bytes, omega: float, tolerance: float, repetition: float, longest: int, scaled: Reals
 ) -> int:
-    """Return the number of drive cycles after which a motion that has settled repeats, or 0 if it has not (yet).
+    """Return the period [drive cycles] of a motion that has settled, or 0 if the motion has not settled.
 
     Args:
         rows: Re x_b, Im x_b, Re x_1 and Im x_1 of each cycle, and x_2 and v_2 of the sphere at its start, SI, shape
             (n, 6).
-        strikes: 1 for each cycle and part of it with an impact, 0 elsewhere, shape (n, parts).
+        strikes: 1 for each part of each cycle that has an impact, else 0, shape (n, parts).
         omega: angular frequency of the drive [rad/s].
         tolerance: limit of the relative change in the last period, and of the sum of all later changes, which are
             extrapolated as a geometric series.
-        repetition: rms deviation of x_1, relative to its mean, up to which its amplitude repeats. Repetition of it and
-            of the impacts is required in addition to `tolerance`.
+        repetition: largest rms deviation of x_1, relative to its mean, at which x_1 counts as repeating. Both x_1 and
+            the impacts must also repeat.
         longest: longest period considered [cycles].
         scaled: scratch memory of the shape of `rows`.
     """
@@ -68,9 +69,9 @@ def settled_period(
 
 @kernel
 def _scale(rows: Reals, omega: float, scaled: Reals) -> bool:
-    """Fill `scaled` with the dimensionless rows, and return True.
+    """Fill `scaled` with the rows in dimensionless form, and return whether this was possible.
 
-    Return False, with `scaled` unchanged, if the mean amplitude of x_b or x_1 is not positive and finite.
+    The result is False, with `scaled` unchanged, if the mean amplitude of x_b or x_1 is not positive and finite.
     """
     n = rows.shape[0]
     x_b, x_1 = 0.0j, 0.0j
@@ -89,9 +90,9 @@ def _scale(rows: Reals, omega: float, scaled: Reals) -> bool:
 
 @kernel
 def _change(scaled: Reals, quantity: int, period: int, k: int) -> float:
-    """Return the magnitude of the change of a quantity of the scaled rows from cycle k to cycle k + `period`.
+    """Return the magnitude of the change of a scaled quantity from cycle `k` to cycle `k` + `period`.
 
-    The quantities 0 to 3 are x_b, x_1, x_2 and v_2.
+    The numbers 0 to 3 of `quantity` mean x_b, x_1, x_2 and v_2.
     """
     after, place = k + period, 2 * quantity if quantity < 2 else quantity + 2  # the first two are complex
     imag = scaled[after, place + 1] - scaled[k, place + 1] if quantity < 2 else 0.0
@@ -100,9 +101,9 @@ def _change(scaled: Reals, quantity: int, period: int, k: int) -> float:
 
 @kernel
 def _largest_changes(scaled: Reals, quantity: int, period: int) -> tuple[float, float]:
-    """Return the largest `_change` of a quantity over `period` cycles in the first and second half of the rows.
+    """Return the largest change of a scaled quantity over `period` cycles in each half of the record.
 
-    The quantities 0 to 3 are x_b, x_1, x_2 and v_2.
+    The result is (first half, second half). The numbers 0 to 3 of `quantity` mean x_b, x_1, x_2 and v_2.
     """
     count = scaled.shape[0] - period
     early, late = 0.0, 0.0
@@ -115,10 +116,10 @@ def _largest_changes(scaled: Reals, quantity: int, period: int) -> tuple[float, 
 
 @kernel
 def _is_over(scaled: Reals, period: int, tolerance: float) -> bool:
-    """Return whether all later changes per period are together at most `tolerance`.
+    """Return whether all changes after the end of the record are together at most `tolerance`, for every quantity.
 
-    They are extrapolated as a geometric series. Changes that do not decay, or exceed `tolerance` in the later half of
-    the record, give False. Changes of the size of rounding do not count.
+    The changes are extrapolated as a geometric series. If they do not decay, or exceed `tolerance` in the second half
+    of the record, the result is False. Changes as small as rounding errors do not count.
     """
     half = (scaled.shape[0] - period) // 2
     for quantity in range(_QUANTITIES):
@@ -134,7 +135,7 @@ def _is_over(scaled: Reals, period: int, tolerance: float) -> bool:
 
 @kernel
 def _lasts(scaled: Reals, period: int) -> bool:
-    """Return whether the changes per period do not decay during the record."""
+    """Return whether the changes over `period` cycles persist: they do not decay from the first to the second half."""
     early, late = 0.0, 0.0
     for quantity in range(_QUANTITIES):
         early_one, late_one = _largest_changes(scaled, quantity, period)

@@ -11,24 +11,23 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Drive cycles: a constant-memory reduction of the scans, on which every measurement is based.
+"""Reduction of the scans to sums for each drive cycle, in constant memory; every measurement is based on these sums.
 
-Each complete cycle of the drive is reduced to sums, which contain all that the least-squares fit of IEEE Std 1057
-(offset and harmonics of the known frequency) needs. With Ω the phase from one sample to the next, the fit is
+The sums of a complete cycle contain all that the least-squares fit of IEEE Std 1057 needs. The fit has an offset and
+harmonics of the known frequency:
 
     value_k = offset + Re Σ_n Y_n e^{jnφ_k},    φ_k = Ω k,    Ω = 2π frequency / rate
 
-and its normal matrix follows in closed form from the sample instants:
+The normal matrix of the fit follows in closed form from the sample instants:
 
     Σ_k e^{jnφ_k} = e^{jn(φ_first + φ_last)/2} sin(samples n Ω/2) / sin(n Ω/2)
 
-The sums are taken about the middle of a cycle. The matrix then depends only on the number of its samples, and is
-inverted once for each number. Scans are added to the sums in stretches, which are groups of up to 64 consecutive scans,
-each taken about its own middle. At equal distances before and after the middle, a cosine is the same and a sine the
-opposite. Therefore only the sum and the difference of two values are multiplied, not each value by cosine and sine.
+The sums are taken about the middle of a cycle. The matrix then depends only on the number of samples, and is inverted
+once for each number. Scans are added to the sums in stretches of up to 64 consecutive scans. Each stretch is folded
+about its own middle, because a cosine is even and a sine is odd. This halves the number of multiplications.
 
-Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, with k counted from the last change of the drive. Neither
-the cycles nor their bits depend on how the stream was divided into blocks.
+Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, with k counted from the last change of the drive. The
+result does not depend on the division of the stream into blocks, to the last bit.
 """
 
 from __future__ import annotations
@@ -84,9 +83,9 @@ class Cycles:
 
     @property
     def residual_variance(self) -> Real:
-        """Residual variance per scan and channel of the fits of all cycles together [unit²], shape (4,).
+        """Residual variance of the fits of all cycles together, per scan, for each channel [unit²], shape (4,).
 
-        It is zero if the fits have as many unknowns as scans: they then leave no residual, and the noise is unknown.
+        The variance is zero if the fits have as many unknowns as scans. The noise is then unknown.
         """
         return np.asarray(self.residual.sum(axis=0) / max(1, self.degrees_of_freedom), dtype=np.float64)
 
@@ -95,7 +94,10 @@ class Cycles:
 
 
 def concatenate(parts: list[Cycles]) -> Cycles:
-    """Join groups of cycles into one group; each group must begin where the one before it ends (not checked)."""
+    """Join groups of cycles into one group.
+
+    Each group must begin where the previous group ends; this is not checked.
+    """
     return Cycles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in attrs.fields(Cycles)))
 
 
@@ -107,11 +109,11 @@ A lower one comes from damaged data, and its period in scans would not fit into 
 
 
 def distinct_phases(samples: int, period: float) -> int:
-    """Return at how many distinct drive phases the samples of a record lie: `samples`, or fewer if phases recur.
+    """Return the number of distinct drive phases at which the samples of a record lie.
 
-    If some small number of cycles holds an integer number of samples, the same phases recur, and the rounding error of
-    a sample is the same each time. Phases count as recurring if they drift by less than half a sample within the
-    record. `period` is the number of samples per cycle, fractions included.
+    The number is `samples`, unless the phases recur after a few cycles. The rounding error of a sample then recurs too.
+    Phases count as recurring if they drift by less than half a sample within the record. `period` is the number of
+    samples per cycle, which need not be an integer.
     """
     for cycles in range(1, int(samples / period / 2.0) + 1):
         drift = abs(cycles * period - round(cycles * period)) * samples / (cycles * period)
@@ -121,10 +123,10 @@ def distinct_phases(samples: int, period: float) -> int:
 
 
 def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
-    """Return how many of the wanted harmonics of a drive frequency can be fitted; 0 if it cannot be measured at all.
+    """Return the number of harmonics of a drive frequency that can be fitted, at most `wanted`.
 
-    The highest one is at most 0.45 times the scan rate. A frequency cannot be measured if it is not finite, below
-    `LOWEST_HZ`, or has fewer than `MIN_SAMPLES_PER_CYCLE` scans per cycle.
+    The highest harmonic is at most 0.45 times the scan rate. The result is 0 if the frequency cannot be measured: it is
+    not finite, is below `LOWEST_HZ`, or has fewer than `MIN_SAMPLES_PER_CYCLE` scans per cycle.
     """
     if (
         not (math.isfinite(frequency_hz) and frequency_hz >= LOWEST_HZ)
@@ -136,7 +138,7 @@ def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
 
 
 class Accumulator:
-    """Accumulator that reduces a stream of scans to sums, one set per drive cycle, and fits the cycles from them.
+    """Accumulator that reduces a stream of scans to one set of sums per drive cycle, and fits the cycles from them.
 
     Args:
         rate_hz: scans per second.
@@ -144,12 +146,12 @@ class Accumulator:
         harmonics: number of harmonics to fit (see `usable_harmonics`).
         origin: index of the scan at which cycle 0 starts; this must be the first scan that is added.
         low: largest value that counts as below the range of each channel, shape (4,).
-        high: smallest value that counts as above it, shape (4,).
+        high: smallest value that counts as above the range of each channel, shape (4,).
         capacity: largest number of cycles that one call of the compiled function completes; it does not limit `add`.
 
     Attributes:
         origin: index of the scan at which cycle 0 starts.
-        period: scans per drive cycle, fractions included.
+        period: scans per drive cycle, not necessarily an integer.
     """
 
     def __init__(
@@ -222,9 +224,10 @@ class Accumulator:
     def _fitted(
         self, sums: Real, flags: NDArray[np.int64], jump: Real, edges: NDArray[np.int64], numbers: NDArray[np.int64]
     ) -> Cycles:
-        """Fit every cycle from its sums.
+        """Return the fits of cycles, computed from their sums.
 
-        The sums refer to the middle of each cycle, the phasors of the result to its start, where the drive phase is 0.
+        The sums refer to the middle of each cycle. The returned phasors refer to the start of the cycle, where the
+        drive phase is 0.
         """
         samples, size = edges[1:] - edges[:-1], sums.shape[2] - 1
         right = sums[:, :, :size]
@@ -244,7 +247,7 @@ class Accumulator:
     def _inverse_for(self, samples: int) -> Real:
         """Return the inverse normal matrix of a cycle of `samples` scans.
 
-        It is computed once for each number of scans; cycles of one frequency have at most two different numbers.
+        The matrix is computed once for each number of scans and kept.
         """
         found = self._inverse.get(samples)
         if found is None:
@@ -288,9 +291,9 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
 def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
     """Return index arrays for `normal_matrix`.
 
-    They are the harmonic numbers 1 … 2H. Then follow three matrices with an entry for each pair (a, b) of 0 … H:
-    |a − b|, a + b, and the sign of b − a. The last two arrays are row numbers of the normal matrix: those of the
-    cosines (with the constant) and those of the sines.
+    The first array holds the harmonic numbers 1 … 2H. The next three are matrices with an entry for each pair (a, b) of
+    0 … H: |a − b|, a + b, and the sign of b − a. The last two hold row numbers of the normal matrix: those of the
+    cosines (with the constant), and those of the sines.
     """
     a, b = np.meshgrid(np.arange(harmonics + 1), np.arange(harmonics + 1), indexing="ij")
     at_cos = np.concatenate([[0], np.arange(1, 2 * harmonics, 2)])
@@ -321,18 +324,17 @@ def _largest_change(values: Reals, count: int, before: float, largest: float) ->
 
 @kernel
 def _larger(change: float, largest: float) -> float:
-    """Return the larger of two numbers, or `largest` if `change` is NaN, as at the first scan of all."""
+    """Return the larger of two numbers, or `largest` if `change` is NaN."""
     return change if change > largest else largest
 
 
 @kernel
 def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals) -> None:
-    """Fold a stretch of scans about its middle, and add its values and their squares to two sums.
+    """Fold a stretch of scans about its middle into `folded`, and add its values and squares to the sums of the cycle.
 
-    `stretch` holds values by channel in its first 2 `half` columns. `plain` and `square` are the sums of the cycle,
-    shape (4,).
-    The result is `folded`: folded[0, q, j] is the sum of the two values of channel j that lie q + ½ scans after and
-    before the middle, folded[1, q, j] is the later minus the earlier one.
+    `stretch` holds the values by channel in its first 2 `half` columns. `plain` and `square` are the sums of values and
+    squares by channel, shape (4,). Two values of channel j lie q + ½ scans before and after the middle: folded[0, q, j]
+    is their sum, and folded[1, q, j] the later minus the earlier value.
     """
     for j in range(4):
         total, squares_after, squares_before = 0.0, 0.0, 0.0
@@ -350,10 +352,10 @@ def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals)
 def _add_wave(
     at_cosine: Reals, at_sine: Reals, folded: Reals, wave: Reals, half: int, cosine: float, sine: float
 ) -> None:
-    """Add a folded stretch, multiplied by cosine and sine of one harmonic, to the two sums of the cycle, shape (4,).
+    """Add a folded stretch, multiplied by cosine and sine of one harmonic, to the sums of the cycle.
 
-    `wave` holds cosines and sines of the harmonic at the scans after the middle of the stretch, as if its phase in the
-    middle were 0. `cosine` and `sine` are those of its actual phase in the middle.
+    The sums are `at_cosine` and `at_sine`, each of shape (4,). `wave` holds cosines and sines of the harmonic after the
+    middle of the stretch, for phase 0 at the middle. `cosine` and `sine` belong to the actual phase at the middle.
     """
     even_0, even_1, even_2, even_3 = 0.0, 0.0, 0.0, 0.0
     odd_0, odd_1, odd_2, odd_3 = 0.0, 0.0, 0.0, 0.0
@@ -371,10 +373,10 @@ def _add_wave(
 
 @kernel
 def _add_turned(at_cosine: Reals, at_sine: Reals, j: int, even: float, odd: float, cosine: float, sine: float) -> None:
-    """Add the sums of channel j over a stretch to those of the cycle, rotated by the phase at the stretch's middle.
+    """Rotate the sums of channel j over a stretch by the phase at its middle, and add them to the sums of the cycle.
 
-    `even` and `odd` are the sums of the samples times cosine and sine of the phase since that middle. `cosine` and
-    `sine` are those of the phase of the middle itself.
+    `even` and `odd` are the sums of the samples times cosine and sine of the phase since the middle. `cosine` and
+    `sine` belong to the phase at the middle.
     """
     at_cosine[j] += even * cosine - odd * sine
     at_sine[j] += even * sine + odd * cosine
@@ -384,8 +386,8 @@ def _add_turned(at_cosine: Reals, at_sine: Reals, j: int, even: float, odd: floa
 def _add_stretch(sums: Reals, stretch: Reals, filled: int, angle: float, waves: Reals, folded: Reals) -> None:
     """Add the first `filled` scans of a stretch to the sums of a cycle.
 
-    If `filled` is odd, a scan of zeros is appended in `stretch`, and the middle is that of the longer stretch.
-    `angle` is the drive phase at the middle of the stretch minus that at the middle of the cycle [rad].
+    If `filled` is odd, a scan of zeros is appended to `stretch` first. `angle` is the drive phase at the middle of the
+    stretch minus that at the middle of the cycle [rad].
     """
     half = (filled + 1) // 2
     if 2 * half > filled:
@@ -411,15 +413,14 @@ def _accumulate(
 ) -> tuple[int, int]:  # fmt: skip
     """Add scans begin <= i < end to the running sums, and write the sums of each completed cycle to `out`.
 
-    It stops early if `out` is full. The result is (number of completed cycles, index of the next scan to add).
+    The function stops early if `out` is full. The result is (number of completed cycles, index of the next scan to
+    add). For cycle n of the call, out_jump[n] is the largest change of each channel from scan to scan. out_flags[n] are
+    the status bits, and range bits for values that are not strictly between `low` and `high`.
 
-    `low` and `high` are the range of each channel, `last` its value in the scan before, and `jump` its largest change
-    in the present cycle; all have the shape (4,). Cycle n of the call goes to out[n], and its largest changes to
-    out_jump[n]. out_flags[n] are its status bits and, for values not strictly between `low` and `high`, range bits.
     `place` = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the unfinished stretch].
     `waves[n, :, q]` = cos, sin of harmonic n + 1 at q + ½ samples. `sums[q, j]` = Σ basis_q value_j, where j is the
-    channel and basis_q the q-th function of the fit (1, cos, sin, cos 2, ...); its last row is Σ value_j². A stretch is
-    added when it is full or its cycle ends, regardless of the division into blocks.
+    channel and basis_q the q-th function of the fit (1, cos, sin, cos 2, ...); its last row is Σ value_j².
+    `last` and `jump` are the previous value of each channel and its largest change in the current cycle, shape (4,).
     """
     k, cycle, stop, flags, filled = place
     done = 0

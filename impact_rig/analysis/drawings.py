@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figures of the measurements of a run, one function each; matplotlib is imported when one is drawn."""
+"""Figures of the measurements of a run, with one function for each figure.
+
+matplotlib is imported only when a figure is drawn.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ SMOOTHED_SAMPLES = 11
 
 @style()
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
-    """Draw DT over frequency with error bars of ±2u, and the phase likewise below it.
+    """Draw the transmissibility DT and its phase over frequency, with error bars of ±2u.
 
     `curves` maps the label of each curve to its rows of `transmissibility/table`. Rows without numbers are left out.
     """
@@ -67,7 +70,10 @@ def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
 
 
 def amplitudes(values: NDArray[np.float64], unit: str) -> str:
-    """Return the range of measured amplitudes for a legend, such as `0.5 to 0.7 A`; empty if none was measured."""
+    """Return the range of measured amplitudes as text for a legend, such as `0.5 to 0.7 A`.
+
+    Only finite positive values count. If there are none, the text is empty.
+    """
     known = values[np.isfinite(values) & (values > 0.0)]
     if not len(known):
         return ""
@@ -85,7 +91,7 @@ SI = {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
 def symbol(index: str, unit: str) -> str:
     """Return the symbol of a motion as TeX, such as `$x_1$`.
 
-    The letter follows from its SI unit (x, v or a); `index` is 1 for the structure and b for the base.
+    The SI unit determines the letter: x, v or a. `index` is 1 for the structure and b for the base.
     """
     return f"${MOTIONS[unit][1]}_{index}$"
 
@@ -94,16 +100,17 @@ def symbol(index: str, unit: str) -> str:
 def time_traces(
     rows: NDArray[np.void], impact_times: Real | None = None, remark: str = "", units: Mapping[str, str] = SI
 ) -> Figure:
-    """Draw the motions of base and structure and the acceleration over time, with marks of impacts above the axes.
+    """Draw base motion, structure motion and acceleration over time, and mark impacts above the axes.
 
-    Channels that the scans do not have are left out; if they have none of the three, the current is drawn.
+    Channels that the scans do not have are left out. If the scans have none of these three channels, the current is
+    drawn.
 
     Args:
         rows: scans.
-        impact_times: instants of the marks on the time axis of the scans [s], shape (k,).
+        impact_times: instants of the impacts on the time axis of the scans [s], shape (k,).
         remark: text above the lowest axes.
-        units: SI unit of the values of each channel in `rows`, by name. It decides whether a channel is drawn as a
-            displacement (in mm), a velocity (mm/s), an acceleration (m/s²) or a current (A).
+        units: SI unit of the values of each channel in `rows`, by name. The unit decides whether a channel is drawn as
+            a displacement (in mm), a velocity (mm/s), an acceleration (m/s²) or a current (A).
     """
     shown = [one for one in TRACES if one[0] in (rows.dtype.names or ())] or [("current", "")]
     figure, axes = _axes(len(shown))
@@ -133,13 +140,13 @@ def time_traces(
 
 @style()
 def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name: str = "$x_1$") -> Figure:
-    """Draw velocity over displacement, where the velocity is the slope of a cubic fitted around each sample.
+    """Draw the velocity over the displacement; the velocity is the slope of a cubic fitted around each sample.
 
     Args:
         displacement: samples of the displacement [m], shape (n,).
         rate_hz: samples per second.
-        smooth_s: time that each fit spans [s], but at least 11 samples and at most all. Faster motion is smoothed away
-            together with the noise.
+        smooth_s: time that each fit spans [s], but at least 11 samples and at most all. A longer time removes more
+            noise, but also faster motion.
         name: symbol of the displacement.
     """
     samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
@@ -154,10 +161,11 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name:
 
 @style()
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
-    """Draw the amplitude spectrum of samples y: a sine of amplitude A has a line of height A (flat-top window).
+    """Draw the amplitude spectrum of the samples `y`, with a flat-top window.
 
-    The drive frequency `drive_hz` and its harmonics up to the tenth are marked, unless it is 0 or None. The frequency
-    axis ends at `upto_hz`, or at rate / 2 if that is 0 or None. `unit` is that of the samples.
+    A sine of amplitude A gives a line of height A. If `drive_hz` is a positive drive frequency, it and its harmonics up
+    to the tenth are marked. The frequency axis ends at `upto_hz`, or at half the sample rate if `upto_hz` is 0 or None.
+    `unit` is the unit of the samples.
     """
     frequency, power = scipy.signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0
@@ -194,10 +202,9 @@ def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
 
 @style()
 def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
-    """Draw the first samples of every fitted channel together with its fitted sine, and state the rms of the residual.
+    """Draw the first samples of every fitted channel with the fitted sine, and state the rms of the residual.
 
-    `rows` are the scans to draw, the first ones of those that were fitted. `fits` and `units` have the name of the
-    channel as key.
+    `rows` are the scans to draw, starting with the first fitted scan. The keys of `fits` and `units` are channel names.
     """
     figure, axes = _axes(len(fits))
     for axis, (name, fit) in zip(axes, fits.items(), strict=True):

@@ -18,16 +18,15 @@
     Hv = [S_yy − κS_xx + √((S_yy − κS_xx)² + 4κ|S_xy|²)] / (2 S_yx)      total least squares, κ = S_noise,y / S_noise,x
     γ² = |S_xy|² / (S_xx S_yy),   u(|H|)/|H| = u(arg H) = √((1 − γ²) / (2 (n_d − 2) γ²))
 
-S_xy = E[X* Y] by Welch's method (scipy.signal). Source: Shin & Hammond (2008), Fundamentals of Signal Processing, 9.3;
-for the uncertainty Bendat & Piersol (2010), Random Data, 9.3. Its estimate has 2 (n_d − 1) degrees of freedom, so its
-variance is that of Student's t (GUM Supplement 1, 6.4.9). With two averages or fewer it is unknown, and given as
-infinite.
+S_xy = E[X* Y] is estimated by Welch's method (scipy.signal). Source: Shin & Hammond (2008), Fundamentals of Signal
+Processing, 9.3; for the uncertainty Bendat & Piersol (2010), Random Data, 9.3. The uncertainty has 2 (n_d − 1) degrees
+of freedom, so its variance is that of Student's t (GUM Supplement 1, 6.4.9). With two averages or fewer, it is unknown
+and given as infinite.
 
-If a segment is shorter than the ringing of the resonance, |H1| is too small at its peak. With σ = ζω_n and r(τ) the
+If a segment is shorter than the ringing of the resonance, |H1| is too small at the peak. With σ = ζω_n and r(τ) the
 normalised autocorrelation of the window, the true value exceeds the estimate by at most the share 2 (1/r(1/σ) − 1)
-(`resolution_bias`).
-This bias decreases as σ²/(σ² + (ω − ω_n)²) away from the peak and is part of the uncertainty, as a rectangular limit.
-The resonance is found from the record itself (`find_resonance`) at any resolution.
+(`resolution_bias`). This bias decreases as σ²/(σ² + (ω − ω_n)²) away from the peak, and is a rectangular limit in the
+uncertainty. The resonance is estimated from the whole record (`find_resonance`).
 """
 
 from __future__ import annotations
@@ -78,10 +77,10 @@ class Frf:
     """Estimated frequency response function y / x of two channels, with coherence and uncertainty.
 
     Attributes:
-        u_relative: relative standard uncertainty of |H1|, which is also that of its phase [rad], shape (n,). A result
-            of `frf` contains the effect of noise alone, one of `transmissibility_frf` also the calibration, and the
-            error at the resonance because segments are of finite length (`resolution_bias`).
-        resonance: the resonance in the excited band; None if no single one fits. Only `transmissibility_frf` finds it.
+        u_relative: relative standard uncertainty of |H1|, and equally of its phase [rad], shape (n,). From `frf`, it
+            contains the effect of noise only. From `transmissibility_frf`, it also contains the calibration and the
+            error at the resonance due to the finite length of the segments (`resolution_bias`).
+        resonance: resonance in the excited band; None if no single resonance fits. Only `transmissibility_frf` sets it.
     """
 
     frequency_hz: Real  # shape (n,)
@@ -119,12 +118,12 @@ def frf(
         overlap: share of a segment that is also part of the next one.
         window: name of the window for `scipy.signal`.
         noise_ratio: κ of Hv, the noise power of y divided by that of x.
-        x_noise: rms of the noise of x, assumed white [unit of x]. Lines with less than `ABOVE_NOISE` times its power
-            are not listed in `Frf.excited`; their values are returned all the same.
+        x_noise: rms of the noise of x, assumed white [unit of x]. `Frf.excited` lists only lines with at least
+            `ABOVE_NOISE` times the power of this noise. The result still has values at all other lines.
 
     Raises:
-        ValueError: lengths differ, values are not finite, a channel is constant, `segment` is below 8 or above n, or
-            `overlap` is negative or not below 1.
+        ValueError: x or y is not one-dimensional, or their lengths differ; values are not finite, a channel is
+            constant, `segment` is below 8 or above n, or `overlap` is negative or not below 1.
     """
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x and y must be one-dimensional and of equal length, got {x.shape} and {y.shape}")
@@ -168,12 +167,11 @@ def frf(
 
 
 def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], bool]:
-    """Return the indices of the excited lines of a power spectrum, never index 0, and whether the excitation is a sine.
+    """Return the indices of the excited lines of a power spectrum, and whether the excitation is a sine.
 
-    Excited lines have at least `EXCITED` of the power of the strongest line, and `ABOVE_NOISE` times that of the noise.
-    It is a sine if all excited lines are so close to the strongest one that the window alone explains their width; then
-    only the index of the strongest is returned. Without an excited line, there are no indices and it is no sine.
-    `floor` is the power density of the noise.
+    An excited line has at least `EXCITED` times the power of the strongest line, and `ABOVE_NOISE` times the noise
+    density `floor`. Index 0 never counts. If the window alone explains the width of all excited lines, the excitation
+    is a sine. Then only the index of the strongest line is returned.
     """
     power = s_xx[1:]
     peak = int(np.argmax(power))
@@ -193,18 +191,19 @@ def find_resonance(
     high_hz: float,
     corrected: Callable[[Real], Complex | float] = lambda _: 1.0,
 ) -> Resonance | None:
-    """Return the resonance of a structure (displacement y) that its moving base (x) excites, or None if none fits.
+    """Return the resonance of a structure (displacement y) that its moving base (displacement x) excites, or None.
 
         (s² + 2ζω_n s + ω_n²) Y − (2ζω_n s + ω_n²) X = a + b s,   s = iω
 
-    The fit uses the lines of the whole record. a and b describe the two ends of the record, so nothing leaks, and the
-    resonance may be narrower than a line of the estimators. Source: Pintelon & Schoukens (2012), System Identification,
-    2.6.
+    This equation is fitted to the spectral lines of the whole record; a and b describe its two ends. Source: Pintelon &
+    Schoukens (2012), System Identification, 2.6.
 
-    `x` and `y` have shape (n,). The resonance is sought from `low_hz` to `high_hz`, where x must excite the structure.
-    None fits if a single resonance with a frequency in the band does not describe its lines (`FITS`). A band of fewer
-    than 8 lines gives None as well, also that of ±10 % (`AROUND`) in which a first result is refined.
-    `corrected(frequency_hz)` returns the factor that corrects Y for the sensors' lag and skew.
+    `x` and `y` have shape (n,). The resonance is sought from `low_hz` to `high_hz`, where x must excite the structure,
+    and then again within ±10 % (`AROUND`) of the first result. `corrected(frequency_hz)` returns the factor that
+    corrects Y for the sensors' lag and skew.
+
+    The result is None if a single resonance in the band does not describe the lines (relative residual above `FITS`),
+    or if the band has fewer than 8 lines in one of the two fits.
     """
     frequency = np.asarray(np.fft.rfftfreq(len(x), 1.0 / rate_hz), dtype=np.float64)
     moved, stirred = np.fft.rfft(y - y.mean()), np.fft.rfft(x - x.mean())
@@ -238,12 +237,10 @@ def find_resonance(
 def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float:
     """Return the largest share by which the true |H| may exceed its estimate at a resonance peak.
 
-    `segment` is the length of a segment in samples, `decay_per_sample` the decay rate σ of the resonance per sample.
-
-    The bound is 2 (1/r − 1), with r the normalised autocorrelation of the window at the resonance's decay time 1/σ. If
-    x has an antiresonance at the peak of y, as under current drive, the window fills it. The bound is the bias due to
-    this, to first order in 1/(σ · segment). The bias because the window flattens a resonance of y is smaller. The bound
-    is infinite if the decay time is longer than a segment.
+    `segment` is the length of a segment in samples. `decay_per_sample` is the decay rate σ of the resonance per sample.
+    The bound is 2 (1/r − 1), where r is the normalised autocorrelation of the window at the decay time 1/σ. The bound
+    is infinite if the decay time is longer than a segment. It holds to first order in 1/(σ · segment), for the worst
+    case that x has an antiresonance at the peak of y, as under current drive.
     """
     shape = scipy.signal.get_window(window, SHAPE)
     lag = round(min(SHAPE / (decay_per_sample * segment), SHAPE))
@@ -252,7 +249,7 @@ def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float
 
 
 def resolving_s(resonance: Resonance, window: str) -> float:
-    """Return the shortest segment length [s], to 1 %, at which the `resolution_bias` is not above `RESOLVED`."""
+    """Return the shortest segment length [s], within 1 %, at which `resolution_bias` is at most `RESOLVED`."""
     low, high = 1.0, 1e4  # in decay times
     while high - low > 0.01 * low:
         middle = math.sqrt(low * high)
@@ -272,16 +269,15 @@ def transmissibility_frf(
     """Return the frequency response x_1 / x_b of a sweep or random record, corrected for the sensors' skew and lag.
 
     Args:
-        rows: consecutive scans, with the channels `base` (x_b) and `laser` (x_1). One that measures velocity or
+        rows: consecutive scans, with the channels `base` (x_b) and `laser` (x_1). A channel that measures velocity or
             acceleration, by its unit in `info`, is converted to displacement.
         info: rows of `daq/info`.
-        segment: length of a segment in samples. None means 1 / `SEGMENTS` of the record, or less if that resolves the
-            resonance that is found.
+        segment: length of a segment in samples. None means 1 / `SEGMENTS` of the record, or less if a shorter segment
+            resolves the resonance that is found.
         overlap: share of a segment that is also part of the next one. None means a half, or 0 with the window `boxcar`,
             which suits an excitation that repeats from segment to segment.
         window: name of the window for `scipy.signal`.
-        damping_ratio: damping ratio of the resonance, if it is known; it replaces the estimate of a resonance
-            that is found.
+        damping_ratio: damping ratio of the resonance, if it is known. It replaces the estimated damping ratio.
 
     Returns:
         The frequency response; its `u_relative` includes calibration and resolution.
@@ -338,7 +334,7 @@ def transmissibility_frf(
 def _periodic(x: Real, segment: int) -> bool:
     """Return whether an excitation repeats from segment to segment, so that no power leaks between lines.
 
-    A record of less than two segments gives False.
+    The result is False for a record of less than two segments.
     """
     if 2 * segment > len(x):
         return False
@@ -348,8 +344,8 @@ def _periodic(x: Real, segment: int) -> bool:
 def _effective_averages(n: int, segment: int, shared: int, window: str) -> float:
     """Return the effective number of averages over n samples.
 
-    It is less than the number of segments if they overlap, because they then correlate (Welch 1967, Eq. 12). `shared`
-    is the number of samples by which they overlap.
+    Overlapping segments correlate, so the number is less than the number of segments (Welch 1967, Eq. 12). `shared` is
+    the number of samples by which neighbouring segments overlap.
     """
     step = segment - shared
     count = (n - shared) // step

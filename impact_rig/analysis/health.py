@@ -13,18 +13,18 @@
 # limitations under the License.
 """Plausibility of channels, judged by their own samples, by the other channels, and by earlier values.
 
-By itself a channel is unsound if it is not finite, at the end of its range, or constant. The same holds if it jumps
-between two scans by more than vibration and noise allow (spikes, a step of the zero), or if its noise is far above that
-of the calibration.
+By its own samples, a channel is unsound if its values are not finite, at the end of the range, or constant. It is also
+unsound if it jumps between two scans (spikes, a step of the zero), or if its noise is far above that of the
+calibration.
 
-Compared with the others: the accelerometer is mounted where the laser measures, so its amplitude is ω² times the
-laser's for any motion. A passive structure cannot lead its base.
+By the other channels: the accelerometer is mounted where the laser measures, so its amplitude is ω² times that of the
+laser. A passive structure cannot lead its base.
 
-Compared with earlier values: while the drive is unchanged, a sensor that changes alone has changed its gain. Laser and
-accelerometer see one motion, and the base follows from coil current and superior base.
+By earlier values: while the drive is unchanged, a sensor whose amplitude changes alone has changed its gain. Laser and
+accelerometer measure the same motion. The motion of the base follows from coil current and superior base.
 
-A gain error that exists from the first row of a setting, and is smaller than the accelerometer can detect, shows in no
-reading.
+A gain error that exists from the first row of a setting is not detected if it is below the accuracy of the
+accelerometer.
 """
 
 from __future__ import annotations
@@ -75,18 +75,21 @@ At resonance, the difference of two almost equal forces moves the base, so small
 
 @attrs.frozen
 class Rejection:
-    """Reason why a measurement is rejected or doubtful, and the channel concerned, if it is a single one."""
+    """Reason why a measurement is rejected or doubtful, with the channel concerned.
+
+    The channel is empty if the reason does not concern a single channel.
+    """
 
     status: Status
     channel: str = ""
 
 
 def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Rejection | None:
-    """Return why cycles must not be averaged, or None if they may.
+    """Return the reason why drive cycles must not be averaged, or None if they may be averaged.
 
-    Reasons are that laser, base or current is over range or not finite, that laser or base is constant, or that one of
-    these two jumps or is far noisier than its calibration states. Jumps and noise are judged only in a channel that
-    measures displacement, since an impact makes a velocity or an acceleration jump.
+    Laser, base and current must be finite and within their range. Laser and base must not be constant, jump from scan
+    to scan, or be far noisier than their calibration states. Jumps and noise are judged only in a channel that measures
+    displacement, because an impact makes a velocity or an acceleration jump.
     """
     flags = int(np.bitwise_or.reduce(cycles.flags))
     finite = np.logical_and.reduce(np.isfinite(cycles.mean)).tolist()
@@ -109,21 +112,21 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Re
 
 
 def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Rejection | None:
-    """Return a rejection if laser and base both show no vibration (`silence`), or one of them (`no_signal`); else None.
+    """Return a rejection if laser, base or both show no vibration; else None.
 
-    `amplitudes` and `floors` are those of laser and base, in this order. An amplitude up to `SIGNAL_FACTOR` times its
-    standard uncertainty, which is its value in `floors`, counts as no vibration. A channel whose signal disappears
-    during a measurement is found earlier, window by window, in `settling`.
+    `amplitudes` are the amplitudes of (laser, base), and `floors` their standard uncertainties. An amplitude of at most
+    `SIGNAL_FACTOR` times its standard uncertainty counts as no vibration. The status is `silence` if both channels show
+    no vibration, and `no_signal` with the name of the channel if only one does.
     """
     still = [amplitude <= SIGNAL_FACTOR * floor for amplitude, floor in zip(amplitudes, floors, strict=True)]
     return _still(still, Status.NO_SIGNAL)
 
 
 def _still(still: list[bool], alone: Status) -> Rejection | None:
-    """Return a rejection if laser or base stands still; else None.
+    """Return a rejection if laser, base or both stand still; else None.
 
-    `still` tells for laser and base, in this order, whether it stands still. The status is `silence` if both do. If
-    only one does, it is `alone`, and the rejection names that channel.
+    `still` says for (laser, base) whether the channel stands still. The status is `silence` if both do. If only one
+    does, the status is `alone`, and the rejection names the channel.
     """
     if all(still):
         return Rejection(Status.SILENCE)
@@ -137,7 +140,10 @@ def _constant(cycles: Cycles) -> NDArray[np.bool_]:
 
 
 def _medians(values: Real) -> list[float]:
-    """Return the median of each column, NaN for a column with a NaN, ten times faster than `numpy.median`."""
+    """Return the median of each column, or NaN for a column that contains NaN.
+
+    This is ten times faster than `numpy.median`.
+    """
     ordered = np.sort(values, axis=0)  # NaN last
     middle = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
     medians: list[float] = np.where(np.isnan(ordered[-1]), np.nan, middle).tolist()
@@ -145,10 +151,10 @@ def _medians(values: Real) -> list[float]:
 
 
 def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[Status | None]:
-    """Return, for each channel, the fault that its changes from scan to scan show, or None.
+    """Return for each channel the fault that its changes from scan to scan show, or None.
 
-    The faults are `noisy` (changes far above the noise of the calibration), `level_jump` (a large change that stays)
-    and `spikes` (one that returns).
+    The faults are `noisy` (changes far above the calibrated noise), `level_jump` (the level stays after a large change)
+    and `spikes` (the level returns after it).
     """
     turn = 2.0 * np.pi * frequency_hz / calibration.rate_hz
     with np.errstate(over="ignore", invalid="ignore"):  # an accelerometer may read anything
@@ -175,11 +181,12 @@ def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> lis
 class Amplitudes:
     """Amplitudes of the channels in a measurement, with standard uncertainties due to scatter, noise and steps.
 
-    All are displacements [m], that of the accelerometer is acceleration / ω²; the current is in amperes.
+    The amplitudes of laser, base and accelerometer are displacements [m]; that of the accelerometer is acceleration /
+    ω². The amplitude of the current is in amperes.
 
     Attributes:
-        calibrated: largest relative difference between the amplitude of acceleration / ω² and X_1 that is allowed:
-            what the calibrations of the two sensors explain, but at least `ACCELERATION_LIMIT`.
+        calibrated: largest allowed relative difference between acceleration / ω² and X_1. It is the difference that the
+            calibrations of the two sensors explain, but at least `ACCELERATION_LIMIT`.
     """
 
     size: Real  # by `scans.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A]
@@ -189,7 +196,7 @@ class Amplitudes:
 
     @property
     def relative(self) -> Real:
-        """Relative standard uncertainties of the amplitudes, shape (4,); infinite without a signal."""
+        """Relative standard uncertainties of the amplitudes, shape (4,); infinite for an amplitude of 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.size > 0.0, self.u / self.size, np.inf)
 
@@ -197,14 +204,11 @@ class Amplitudes:
 def amplitudes(
     true: list[Complex], noise: Real, cycles: Cycles, calibration: Calibration, frequency_hz: float
 ) -> Amplitudes:
-    """Return the amplitudes of all channels at the drive frequency in a measurement, with their uncertainties.
+    """Return the amplitudes of all channels at the drive frequency, with their uncertainties.
 
-    `true` are the corrected phasors of the cycles by channel, shape (n, H) each. `noise` are the variances per scan, in
-    the squared units of these phasors, shape (4,).
-
-    An acceleration of less than a step of the converter may be read as anything from zero to several times its size.
-    The effect of the accelerometer's steps is therefore computed for the acceleration that follows from the laser's
-    amplitude: for a reading of 0, it would be zero.
+    `true` are the corrected phasors of the cycles for each channel, each of shape (n, H). `noise` are the variances per
+    scan in the squared units of these phasors, shape (4,). The effect of the accelerometer's steps is computed for the
+    acceleration that follows from the laser's amplitude.
     """
     square = (2.0 * math.pi * frequency_hz) ** 2
     size, u = np.zeros(4), np.zeros(4)
@@ -227,12 +231,12 @@ def amplitudes(
 def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Rejection | None:
     """Return a rejection if laser and base seem exchanged, or one of them seems to have the wrong polarity; else None.
 
-    `u_relative` is the relative standard uncertainty of DT: above `CERTAIN`, the result is always None. `phase_rad` is
-    the phase of X_1 / X_b, and `u_phase_rad` its standard uncertainty.
+    `phase_rad` is the phase of X_1 / X_b, and `u_phase_rad` its standard uncertainty. `u_relative` is the relative
+    standard uncertainty of DT; above `CERTAIN`, the result is None.
 
-    The two seem exchanged if the acceleration fits the base and not the laser. A passive structure lags its base, by up
-    to π far above resonance. If the phase shows that it leads, one polarity is wrong if the acceleration fits the
-    laser; otherwise the two are exchanged.
+    Laser and base seem exchanged if the acceleration fits the base and not the laser. A structure that leads its base
+    is also implausible: one polarity is wrong if the acceleration fits the laser, otherwise laser and base are
+    exchanged.
     """
     if u_relative > CERTAIN:
         return None
@@ -250,12 +254,12 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
 
 
 def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Rejection | None:
-    """Return a rejection if the accelerometer is dead or contradicts the laser; None if not, or if motion is too small.
+    """Return a rejection if the accelerometer shows no signal or contradicts the laser; else None.
 
-    A dead accelerometer, or one whose reading is not finite (`accelerometer_unsound`), does not affect DT. If it shows
-    another motion than the laser, either of the two may be wrong. If the laser still has the amplitude that it had in
-    `before`, an earlier row of the same setting, the accelerometer is rejected (`accelerometer_unsound`). Otherwise,
-    and without `before`, the laser is (`implausible`).
+    If the motion is too small for a comparison, the result is None. An accelerometer without a finite signal is
+    rejected (`accelerometer_unsound`). If the accelerometer contradicts the laser, either may be wrong. The
+    accelerometer is rejected if the laser still has its amplitude in `before`, an earlier row of the same setting.
+    Otherwise, or without `before`, the laser is rejected (`implausible`).
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):
@@ -280,11 +284,10 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Reject
 def current_unsound(
     cycles: Cycles, calibration: Calibration, found: Amplitudes, before: Amplitudes | None = None
 ) -> bool:
-    """Return whether the measured coil current is unreliable: stuck, disturbed, or changed alone since a row `before`.
+    """Return whether the measured coil current is unreliable: stuck, disturbed, or changed alone since an earlier row.
 
-    `before` is an earlier row of the same setting. DT does not depend on the current. A constant current counts as
-    stuck only if the noise of the channel exceeds a step of the converter: only then must a working channel vary. The
-    current is not compared with the command, since a prescribed base or a voltage drive may have none.
+    `before` are the amplitudes of an earlier row of the same setting; None skips this comparison. A constant current
+    counts as stuck only if the noise of the channel exceeds a step of the converter.
     """
     stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles)[CURRENT]
     if stuck or _rough(cycles, calibration, found.frequency_hz)[CURRENT]:
@@ -297,20 +300,20 @@ def current_unsound(
 
 
 def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
-    """Return ln(now / before) of the amplitude of each channel, and how far noise alone may change it, both shape (4,).
+    """Return ln(now / before) of the amplitude of each channel, and the largest change that noise explains.
 
-    The latter is `NOISES` standard uncertainties of the ratio.
+    Both have shape (4,). The second is `NOISES` standard uncertainties of the ratio.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(now.size / before.size), NOISES * np.hypot(before.relative, now.relative)
 
 
 def changed_alone(before: Amplitudes, now: Amplitudes) -> Rejection | None:
-    """Return a rejection (`implausible`) that names laser or base if that channel alone has changed; else None.
+    """Return a rejection (`implausible`) that names laser or base if this channel alone has changed; else None.
 
     `before` is an earlier row of the same drive setting. The laser has changed alone if its amplitude has changed more
-    than the accelerometer's, beyond noise. The base has changed alone if the changes of laser and current do not
-    explain its change.
+    than that of the accelerometer, beyond noise. The base has changed alone if the changes of laser and current do not
+    explain the change of the base.
     """
     change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)

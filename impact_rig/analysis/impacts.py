@@ -11,16 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Detection of impacts from the accelerometer alone: causal, streaming, in constant memory.
+"""Detection of impacts in the stream of the accelerometer: causal, in constant memory.
 
 A second-order Butterworth high-pass removes the vibration (up to 20 m/s² near 9 Hz). A contact of 40 to 80 µs leaves a
-pulse, then the sensor's ringing (25 kHz behind a 10 kHz low-pass). An impact is a crossing of
+pulse, followed by the sensor's ringing (25 kHz behind a 10 kHz low-pass). An impact is a crossing of
 
     threshold = max(threshold_m_s2, noise_factor · rms,  ring_factor · peak · e^{−since/ring_time})
 
-Here rms is the tracked rms of the quiet signal, peak that of the previous impact, and since the time since then. The
-impact's time is the instant at which the pulse passes ONSET of its peak, minus the sensor's lag. It is within 10 µs of
-the first touch at 50 kS/s.
+Here rms is the tracked rms of the quiet signal, peak is that of the previous impact, and since is the time since the
+previous impact. The time of an impact is the instant at which the pulse passes the fraction `ONSET` of its peak, minus
+the sensor's lag. It is within 10 µs of the first touch at 50 kS/s.
 """
 
 from __future__ import annotations
@@ -85,11 +85,11 @@ NO_IMPACTS = np.zeros(0, IMPACT)
 
 
 def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: float) -> Cycles:
-    """Return copies of drive cycles whose `impacts` and `strikes` are filled in from detected impacts (`IMPACT`).
+    """Return a copy of drive cycles with the detected impacts filled in.
 
-    The field `impacts` becomes the number of impacts in each cycle; `strikes` is 1 for each part of a cycle with an
-    impact, else 0, shape (n, PHASE_BINS). Impacts outside the cycles are ignored. `origin` is the first scan of cycle
-    0, `period` the number of scans per cycle.
+    The field `impacts` becomes the number of impacts in each cycle. The field `strikes` becomes 1 for each part of a
+    cycle that has an impact, else 0, shape (n, PHASE_BINS). The argument `impacts` (`IMPACT`) may contain impacts
+    outside the cycles. `origin` is the first scan of cycle 0, and `period` the number of scans per cycle.
     """
     edges = np.append(cycles.first, cycles.first[-1] + cycles.samples[-1])
     place = np.searchsorted(edges, impacts["scan"], side="right") - 1
@@ -104,9 +104,9 @@ def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: floa
 def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
     """Return the coefficients (b_0, b_1, b_2, a_1, a_2) of a digital Butterworth high-pass of second order.
 
-    It is s^2 / (s^2 + sqrt(2) s + 1) through the bilinear transform, pre-warped so that the corner is exact (Oppenheim
-    and Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` gives the same, but importing it
-    would take 60 MB of memory in a node that runs for days.
+    The filter is s^2 / (s^2 + sqrt(2) s + 1) through the bilinear transform, pre-warped so that the corner is exact
+    (Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` is not used because
+    its import takes 60 MB of memory.
     """
     sine, cosine = sincos(PI * corner_hz / rate_hz)
     k = sine / cosine
@@ -115,7 +115,10 @@ def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
 
 
 class ImpactDetector:
-    """Detector of impacts in the stream of the accelerometer; the division into blocks does not change its result."""
+    """Detector of impacts in the stream of the accelerometer.
+
+    The result does not depend on the division of the stream into blocks.
+    """
 
     def __init__(self, calibration: Calibration, settings: ImpactSettings | None = None) -> None:
         settings = settings or ImpactSettings()
@@ -143,16 +146,16 @@ class ImpactDetector:
         self.restart(0)
 
     def restart(self, scan: int) -> None:
-        """Reset the detector, at the start or after a gap in the stream; the next sample belongs to scan `scan`."""
+        """Reset the detector at the start of the stream or after a gap; the next sample belongs to scan `scan`."""
         noise = self._sensors[self._sensor_at(scan)][2]
         self._state[:] = (0.0, 0.0, noise * noise, 0.0, 0.0, 0.0, 0.0)
         self._place[:] = (scan, 0, 0, 1, 0, 0)
         self._history[:] = 0.0
 
     def recalibrate(self, scan: float, calibration: Calibration) -> None:
-        """Use the accelerometer's lag and skew of another calibration from the scan with the index `scan` on.
+        """Use the accelerometer's lag, skew and noise of a new calibration from the scan with index `scan` on.
 
-        Its noise is used by a `restart` at that scan or a later one. The scan rate must be the same as before.
+        The noise takes effect only at a `restart` at that scan or later. The scan rate must be the same as before.
         """
         noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
@@ -164,24 +167,27 @@ class ImpactDetector:
         return max(0, bisect.bisect_right(self._sensors, scan, key=lambda sensor: sensor[0]) - 1)
 
     def feed(self, acceleration: Real) -> NDArray[np.void]:
-        """Process the next samples, and return the impacts (`IMPACT`) that are recognised at one of them.
+        """Process the next samples, and return the impacts (`IMPACT`) that are recognised in them.
 
-        An impact is recognised at most `behind` scans after it happened. The samples are the acceleration [m/s²] of
-        consecutive scans, shape (n,).
+        The samples are the acceleration [m/s²] of consecutive scans, shape (n,). An impact is recognised at most
+        `behind` scans after it happened, so it may have happened in an earlier call.
         """
         return self.timed(self.find(acceleration))
 
     def timed(self, onsets: NDArray[np.void]) -> NDArray[np.void]:
-        """Return results of `find` with scans less the sensor's lag and plus its skew: the instants of first touch."""
+        """Return a copy of impacts from `find`, corrected to the instants of first touch.
+
+        The correction subtracts the sensor's lag from the scans and adds its skew.
+        """
         impacts = onsets.copy()
         for impact in impacts:
             impact["scan"] -= self._sensors[self._sensor_at(impact["scan"])][1]
         return impacts
 
     def find(self, acceleration: Real) -> NDArray[np.void]:
-        """Process samples and return impacts like `feed`, but without the correction of `timed` for the sensor's lag.
+        """Process the next samples and return impacts like `feed`, but without correction for lag and skew.
 
-        Below `MIN_RATE_HZ` the result is always empty.
+        `timed` applies this correction. The result is empty if the scan rate is below `MIN_RATE_HZ`.
         """
         if self._rate < MIN_RATE_HZ:
             return NO_IMPACTS
@@ -205,19 +211,20 @@ def _detect(
     acceleration: Real, begin: int, coefficients: Real, limits: Real, times: NDArray[np.int64], state: Real,
     place: NDArray[np.int64], history: Real, out: Real,
 ) -> tuple[int, int]:  # fmt: skip
-    """Filter the samples from index `begin` on, and write the impacts that are found in them to `out`.
+    """Filter the samples from index `begin` on, and write the impacts found in them to `out`.
 
-    It stops early when `out` is full. The result is (number of impacts found, index of the next sample to process).
-    A sample that is not finite ends the search for a peak, and the filter starts again after it.
+    The function stops early if `out` is full. The result is (number of impacts found, index of the next sample to
+    process). A sample that is not finite ends the search for a peak, and the filter starts again after it.
 
     `state` = [filter memory 1, filter memory 2, variance, threshold of the ringing, peak, sign, swing].
     `place` = [scan, samples left while the filter settles, samples left of the search for the peak (`hunting`),
     1 if the filter is to be started, scan of the peak, scans since the last impact].
-    After a crossing of the threshold, `hunting` counts down. Meanwhile the peak is the largest value with the sign of
-    the crossing, or with the other sign once that is `FORERUNNER` times as large. The swing, the largest value of
-    either sign, determines the threshold of the ringing.
     `limits` = [lowest threshold, noise factor, ringing factor, decay and forgetting per sample].
     `times` = [samples of the search, samples in which the filter settles, samples in which the sensor rings].
+
+    The peak is the largest value with the sign of the crossing, or with the other sign if that is more than
+    `FORERUNNER` times as large. The swing is the largest value of either sign; it determines the threshold of the
+    ringing.
     """
     in_0, in_1, in_2, out_1, out_2 = coefficients
     floor, noise_factor, ring_factor, decay, forget = limits
@@ -284,10 +291,10 @@ def _detect(
 
 
 def impact_tables(found: NDArray[np.void], rate_hz: float, start_ns: int) -> list[Table]:
-    """Return detected impacts (`IMPACT`) as tables `impacts` for publication, one per tick (10 ms) that has impacts.
+    """Return detected impacts (`IMPACT`) as tables `impacts`, one per tick (10 ms) that has impacts.
 
-    Each table is stamped with the begin of its tick, so stamps and times do not depend on the length of the blocks.
-    Impacts of one tick that are found in two calls give a table in each. `start_ns` is the rig time of scan 0.
+    Each table is stamped with the beginning of its tick. Stamps and times therefore do not depend on the length of the
+    blocks. `start_ns` is the rig time of scan 0 [ns].
     """
     rows: dict[int, list[tuple[float, float, float]]] = {}
     for scan, peak, sign in found.tolist():  # usually a single one, for which NumPy is slow

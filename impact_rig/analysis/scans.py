@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Scans in the form that the analysis needs: four channels in a fixed order, in buffers that join successive blocks.
+"""Scans in the form that the analysis needs: four channels in a fixed order, and buffers that join successive blocks.
 
-A run may have more channels than these, in any order. An imported measurement may lack some of them; neither `daq/info`
-nor `daq/scan` then contains them. Transmissibility needs `laser` and `base`. Without `accelerometer` no impacts are
-counted, and without `current` there is no current amplitude.
+A run may have more channels than these four, in any order. An imported measurement may lack some of the four;
+`daq/info` and `daq/scan` then do not contain them. Transmissibility needs `laser` and `base`. Without `accelerometer`,
+no impacts are counted. Without `current`, there is no current amplitude.
 """
 
 from __future__ import annotations
@@ -45,9 +45,10 @@ _IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 
 
 def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
-    """Return the status bits of scans, shape (n,): bit j is set if channel j of `CHANNELS` is over range or clipped.
+    """Return the status bits of scans in the order of `CHANNELS`, shape (n,).
 
-    The bits in the scans themselves follow the order of the channels there, which may be another one.
+    Bit j is set if channel j of `CHANNELS` is over range or clipped. The bits in the scans themselves follow the order
+    of the columns of the scans, which may differ.
     """
     status: NDArray[np.uint8] = rows["status"]
     places = _places(rows.dtype)
@@ -61,16 +62,20 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 @functools.lru_cache(maxsize=64)  # few types of rows exist
 def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
-    """Return for each channel of `CHANNELS` in a row type of scans its bit in our status and that in the scans' status.
+    """Return the bit of each channel in the status of scans of a row type.
 
-    These are its index in `CHANNELS`, and that among the columns except time and status.
+    The result has one pair for each channel of `CHANNELS` that the row type contains: (index in `CHANNELS`, bit). The
+    bit is the index of the channel among the columns except time and status.
     """
     found = [name for name in dtype.names or () if name not in _FRAME]
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
 
 def _as_scans(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Convert scans of any row type to rows of `SCAN`, shape (n,), with zeros for channels that were not measured."""
+    """Convert scans of any row type to rows of `SCAN`, shape (n,).
+
+    Channels that were not measured are filled with zeros.
+    """
     scans = np.zeros(len(rows), SCAN)
     for name in set(CHANNELS).intersection(rows.dtype.names or ()):
         scans[name] = rows[name]
@@ -93,7 +98,7 @@ def _copy(rows: Any, samples: NDArray[np.float64], status: NDArray[np.uint8], at
 
 
 def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
-    """Return the samples of one channel of scans [its unit], shape (n,); zeros if the channel was not measured."""
+    """Return the samples of one channel of scans [unit of the channel], shape (n,); zeros if it was not measured."""
     present = name in (rows.dtype.names or ())
     return np.array(rows[name], dtype=np.float64) if present else np.zeros(len(rows))
 
@@ -101,10 +106,10 @@ def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
 def need_columns(
     table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = (), why: str = ""
 ) -> None:
-    """Check that a table has the columns of the row type `wanted`, with numbers and texts where that type has them.
+    """Check that a table has the columns of the row type `wanted`, each with numbers or text as that type requires.
 
-    The columns named in `later` may be missing: earlier versions did not write them, or the channel was not measured.
-    `topic` is the name in the message of the error, and `why` the reason for the columns, stated in parentheses.
+    The columns named in `later` may be missing. `topic` and `why` are used in the error message: the name of the table,
+    and the reason for the columns.
 
     Raises:
         ConfigError: a column is missing, or holds text instead of numbers, or numbers instead of text.
@@ -142,11 +147,11 @@ class ScanBuffer:
         self.end = 0
 
     def restart(self, index: int) -> None:
-        """Drop all scans, because the stream has a gap; the next scan to append has the index `index`."""
+        """Drop all scans after a gap in the stream; the next scan to append has the index `index`."""
         self.first = self.end = index
 
     def renumber(self, index: int) -> None:
-        """Renumber the scans so that scan `index` becomes scan 0, which is the first one after a reset of the rig."""
+        """Renumber the scans after a reset of the rig, so that scan `index` becomes scan 0."""
         self.first -= index
         self.end -= index
 
@@ -167,7 +172,7 @@ class ScanBuffer:
         self.end += new
 
     def column(self, index: int) -> int:
-        """Return the column of `samples` that holds the scan `index`, which is also its index in `status`."""
+        """Return the column of `samples` that holds the scan `index`; it is also the index of that scan in `status`."""
         return index - self.first
 
     def _make_room(self, keep: int, new: int) -> None:
@@ -183,9 +188,9 @@ class ScanBuffer:
 
 
 class Recent:
-    """Buffer of the newest blocks of `daq/scan` since the last gap: the fewest that hold at least `length` scans.
+    """Buffer of the newest blocks of `daq/scan`: as few blocks as hold at least `length` scans.
 
-    While fewer scans have arrived since the gap, it holds all of them.
+    A gap between two blocks empties the buffer. It holds all blocks until `length` scans have arrived since the gap.
     """
 
     def __init__(self, rate_hz: float, length: int) -> None:
@@ -195,11 +200,11 @@ class Recent:
         self.count = 0  # scans that are kept
 
     def follows(self, scan: Table) -> bool:
-        """Return whether a block begins one scan (± half a scan) after the last kept scan; False if none is kept."""
+        """Return whether a block directly follows the last kept scan, within half a scan; False if no scan is kept."""
         return bool(self._blocks) and abs(scan.stamp_ns - self.next_ns()) <= 0.5 * NS_PER_S / self._rate_hz
 
     def add(self, scan: Table) -> None:
-        """Add a block; if it does not follow the newest kept block without a gap, drop all earlier scans."""
+        """Add a block; if it does not directly follow the newest kept block, drop all earlier blocks."""
         if not self.follows(scan):
             self.clear()
         self._blocks.append(scan)
@@ -213,11 +218,14 @@ class Recent:
         self.count = 0
 
     def next_ns(self) -> int:
-        """Return the stamp of the next scan if none is lost [ns]; at least one scan must be kept."""
+        """Return the expected stamp of the next scan [ns]; at least one scan must be kept."""
         return self.stamp_ns(self.count)
 
     def stamp_ns(self, number: int) -> int:
-        """Return the stamp of the kept scan `number`, counted from 0 at the oldest [ns]; also of a scan yet to come."""
+        """Return the stamp [ns] of the scan `number`, counted from 0 at the oldest kept scan.
+
+        `number` may also belong to a future scan. At least one block must have been added.
+        """
         return self._blocks[0].stamp_ns + int(number * NS_PER_S / self._rate_hz)
 
     def rows(self) -> NDArray[np.void]:

@@ -13,9 +13,10 @@
 # limitations under the License.
 """Settings of the analysis, and the operator's label of the gap between the barriers.
 
-The rig does not reveal its gap to the analysis, which must measure without seeing the truth. The operator labels it
-with a remark on the topic `notes`: `gap_m=0.006 at 12500000` is a gap of 6 mm from the rig time 12500000 ns on. Because
-of this time, the live analysis and a later analysis of the recorded run apply the label from the same scan on.
+The rig does not publish its gap, because the analysis must measure without knowing the true value. The operator labels
+the gap with a remark on the topic `notes`. The remark `gap_m=0.006 at 12500000` means a gap of 6 mm from the rig time
+12500000 ns on. Because of this time, live analysis and later analysis of the recorded run apply the label from the same
+scan on.
 """
 
 from __future__ import annotations
@@ -121,7 +122,7 @@ class TrackerSettings:
 
 @attrs.frozen(kw_only=True)
 class ImpactSettings:
-    """Settings of `ImpactDetector`, which must tell impacts from vibration, noise and the accelerometer's ringing."""
+    """Settings of `ImpactDetector`, which distinguishes impacts from vibration, noise and ringing of the sensor."""
 
     corner_hz: float = quantity(
         1500.0, "Hz", "Corner of the high-pass that removes the vibration from the acceleration.", above=0
@@ -149,23 +150,28 @@ _END_NS = 2**31 * 1_000_000_000  # the latest instant of a ROS stamp
 
 @attrs.frozen
 class GapLabel:
-    """Operator's label of the gap [m] (0 = no sphere, NaN = unknown), valid from the rig time `stamp_ns` [ns] on."""
+    """Operator's label of the gap [m], valid from the rig time `stamp_ns` [ns] on.
+
+    A gap of 0 means no sphere, and NaN means unknown.
+    """
 
     gap_m: float
     stamp_ns: int
 
     def text(self) -> str:
-        """Return the label as a remark for the topic `notes`, with `nan` if unknown; `parse_label` reads it back."""
+        """Return the label as a remark for the topic `notes`, such as `gap_m=0.006 at 12500000`.
+
+        `parse_label` reads the remark. An unknown gap is written as `nan`.
+        """
         return f"gap_m={self.gap_m!r} at {self.stamp_ns}"
 
 
 def parse_label(remark: str) -> GapLabel | None:
-    """Return the gap label in an operator's remark, such as `gap_m=0.006 at 12500000`; None for any other remark.
+    """Return the gap label in an operator's remark such as `gap_m=0.006 at 12500000`, or None for any other remark.
 
-    The gap is in m: 0 means no sphere, and `nan` unknown. The number after `at` is the rig time [ns] from which the
-    label applies; a remark without it gives None.
-
-    A gap outside 0 to 1 m that is not `nan`, or a time beyond the range of ROS stamps, also gives None.
+    The gap is in m: 0 means no sphere, and `nan` means unknown. The number after `at` is the rig time [ns] from which
+    the label applies. The result is also None if the gap is not from 0 to 1 m, or the time is beyond the range of ROS
+    stamps.
     """
     match = _PATTERN.fullmatch(remark)
     if match is None:
@@ -186,10 +192,10 @@ RETIRED = ("bootstrap_resamples", "seed")  # settings of resampling in recording
 
 
 def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, started_s: float = 0.0) -> Table:
-    """Return the table `analysis/settings` with settings and gap label, valid from the rig time `stamp_ns` on.
+    """Return the table `analysis/settings` with the settings and the gap label, stamped with the rig time `stamp_ns`.
 
-    The table also contains the fingerprint of this machine and `started_s`, the time at which the analysis started
-    [s since 1970]. These two distinguish several analyses in one run.
+    `gap_m` is the gap label [m]. The table also contains the fingerprint of this machine, and `started_s`, the time at
+    which the analysis started [s since 1970]. These two values distinguish several analyses in one run.
     """
     values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
     rows = [*values.items(), (GAP, gap_m), (MACHINE, fingerprint()), (STARTED, started_s)]
@@ -199,7 +205,7 @@ def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, start
 def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     """Return the settings and the gap label [m] in a table `analysis/settings`.
 
-    A setting that the table lacks has its default, and a gap label that it lacks is NaN.
+    A setting that is missing in the table has its default. A missing gap label is NaN.
 
     Raises:
         ConfigError: the table has an unknown key, or a value out of range.
@@ -219,9 +225,9 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
 
 
 def machine_of(table: Table) -> int | None:
-    """Return the fingerprint (`machine.fingerprint`) of the machine that made a table; None if the table lacks it.
+    """Return the fingerprint of the machine that made a table `analysis/settings`, or None if the table lacks it.
 
-    The table is `analysis/settings`. Machines with equal fingerprints compute equal bits with the same code.
+    Machines with equal fingerprints (`machine.fingerprint`) compute equal bits with the same code.
     """
     found = _value(table, MACHINE)
     return None if found is None else int(found)

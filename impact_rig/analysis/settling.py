@@ -11,31 +11,30 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Detection of settling: the decision, window by window, whether the response to one drive setting has settled.
+"""Detection of settling: decides window by window whether the response to one drive setting has settled.
 
 A window is a group of consecutive drive cycles (`window_cycles`). A row is a row of `transmissibility/table`.
 
-A dying transient adds a term c·q^w to the complex transmissibility of window w, with q complex (decay and beat of the
-free vibration against the drive). Its sum beyond the last window follows from the differences of the windows (Aitken).
-This gives the bias of a mean *including* the part that differences of neighbours cannot show.
+A dying transient adds a term c·q^w to the complex transmissibility of window w. The complex number q describes decay
+and beat of the free vibration against the drive. The remaining sum of the transient is extrapolated from the
+differences of the windows (Aitken). This gives the bias of a mean, *including* the part that differences of neighbours
+cannot show.
 
 After each window, once enough windows have passed since the last row, three conditions for a row are tried in this
 order:
 
 1. steady: the bias that a transient leaves in the last `windows` windows is below `settle_tolerance` or twice the
-  noise, and the amplitude repeats from cycle to cycle (or after a few). The first row after a change would always have
-  a bias just below the limit. It therefore waits until, at the pace of the transient so far, the bias is `REMNANT` of
-  the limit;
-2. stationary: the last `long_windows` windows have neither trend nor changing fluctuation: modulated or chaotic.
-  Impacts make a motion irregular, so these windows contain at least `FEW` of them. Without impacts, a fluctuation is
-  the end of a transient; with a few, the sphere has only started to strike;
+  noise, and the amplitude repeats from cycle to cycle (or after a few cycles). The first row after a change waits until
+  the bias, at the decay rate so far, is `REMNANT` of the limit;
+2. stationary: the last `long_windows` windows have neither a trend nor a changing fluctuation (modulated or chaotic
+  response), and contain at least `FEW` impacts. With fewer impacts, the fluctuation is the end of a transient, or the
+  sphere has only started to strike;
 3. the bound `wait_limit_s` is reached: the row has the present numbers and the status `not_settled`.
 
-A sphere that drifts from wall to wall leaves the structure as steady as if there were none, for as long as it drifts. A
-row without impacts is therefore delayed until there has been no impact for the time in which the slowest sphere
-considered crosses the gap, or for `wait_limit_s` if that is shorter (`ImpactPause`). Even then the sphere may still
-strike, so that row has the status `no_impacts`. A motion with few impacts at irregular times is measured over the long
-record.
+A sphere that drifts slowly from wall to wall does not disturb the structure until it strikes. A row without impacts is
+therefore delayed for the time in which the slowest sphere considered crosses the gap, at most `wait_limit_s`
+(`ImpactPause`). Even then the sphere may still strike, so the row has the status `no_impacts`. A motion with few
+impacts at irregular times is measured over the long record.
 """
 
 from __future__ import annotations
@@ -67,9 +66,9 @@ POWER_LIMIT = 4.0  # ratio of the fluctuation power of the halves that still cou
 def transient_bias(windows: Complex, measured: int) -> complex:
     """Return the complex bias that a dying transient leaves in the mean of the newest `measured` windows.
 
-    It is that mean minus the limit that the response approaches; without a transient, it is of the size of the noise.
-    The limit is extrapolated from the newest 8 windows and, if available, also from the newest 16, because the longer
-    record detects slow transients that the noise of the shorter one hides. The larger of the two biases is returned.
+    The bias is this mean minus the limit that the response approaches. The limit is extrapolated from the newest 8
+    windows and, if available, also from the newest 16, which show slow transients better. The larger of the two biases
+    is returned. Without a transient, the bias is of the size of the noise.
 
     `windows` is the complex transmissibility in successive windows, oldest first, shape (n,).
 
@@ -84,29 +83,29 @@ def transient_bias(windows: Complex, measured: int) -> complex:
 
 
 def more_windows(taken: int, reached: float, share: float) -> int:
-    """Return how many more windows a decaying transient takes until only the share `share` of its present size is left.
+    """Return how many more windows a transient takes to decay to the share `share` of its present size.
 
-    The transient is assumed to decay exponentially, and to have been as large as the response itself at the change of
-    the drive. If it fell to the fraction ε in n windows, it takes n ln(s) / ln(ε) more (rounded up) to fall by the
-    factor s. A transient below the noise cannot be measured any more, but is assumed to keep its pace.
+    The transient is assumed to decay exponentially, and to have been as large as the response when the drive changed.
+    If it fell to the fraction ε in n windows, it takes n ln(s) / ln(ε) more windows (rounded up) to fall by the factor
+    s.
 
     Args:
         taken: n, the number of windows from the change of the drive to the first of the windows averaged now.
-        reached: ε, the fraction of its first size below which the transient has fallen by now; if it is lost in the
-            noise, the limit set by the noise.
+        reached: ε, the fraction of its first size below which the transient has fallen by now, or the noise limit if
+            the transient is below the noise.
         share: s, 0 < s < 1.
 
     Returns:
-        Number of windows; 0, for no further wait, if ε is not between 0 and 1: it then tells no pace.
+        Number of windows; 0 if ε is not between 0 and 1, because the decay rate is then unknown.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 
 
 def _limit(quarters: Complex) -> complex:
-    """Return the limit of a decaying series of which `quarters` are four successive values, by Aitken's extrapolation.
+    """Return the limit of a decaying series, extrapolated from four successive values by Aitken's method.
 
-    The factor q from one difference of neighbours to the next is a least-squares fit to the three differences, and at
-    most `SLOWEST_RATIO` in absolute value. If the first two differences are zero, the limit is the last value.
+    The factor q from one difference of neighbours to the next is fitted to the three differences by least squares. Its
+    absolute value is limited to `SLOWEST_RATIO`. If the first two differences are zero, the limit is the last value.
     """
     steps = np.diff(quarters)
     power = float(np.sum(np.abs(steps[:-1]) ** 2))
@@ -119,11 +118,12 @@ def _limit(quarters: Complex) -> complex:
 
 
 def is_stationary(windows: Complex) -> bool:
-    """Return whether a fluctuating response has settled: it has neither a trend nor a growing or decaying fluctuation.
+    """Return whether a fluctuating response has settled: it has no trend, and the fluctuation neither grows nor decays.
 
-    `windows` is the complex transmissibility in successive windows, shape (n,), n >= 16. The means of the halves may
-    differ by `TREND_LIMIT` standard deviations of this difference (including correlation between windows) in either
-    component, the fluctuation powers of the halves by a factor `POWER_LIMIT`. Of an odd number, the last is left out.
+    `windows` is the complex transmissibility in successive windows, shape (n,), n >= 16. The two halves are compared;
+    of an odd number, the last window is left out. In both components, their means must not differ by more than
+    `TREND_LIMIT` standard deviations of the difference. Their fluctuation powers must not differ by more than the
+    factor `POWER_LIMIT`.
     """
     half = len(windows) // 2
     first, second = windows[:half], windows[half : 2 * half]
@@ -157,7 +157,10 @@ NOTICED_S, NOTICED_CYCLES = 0.5, 2.0
 
 @attrs.frozen
 class ImpactPause:
-    """Wait for a sphere that may still strike: the time without impacts so far, and its limit to delay a row [s]."""
+    """Time without impacts so far, and its limit up to which a row without impacts is delayed [s].
+
+    The row is delayed because a slow sphere may still strike.
+    """
 
     since_s: float = 0.0  # time since the last impact under drive, or since the gap was set or the drive started
     # time without impacts for which a row is delayed at most; 0 without a sphere, or if none was ever noticed
@@ -165,7 +168,7 @@ class ImpactPause:
 
     @property
     def is_waiting(self) -> bool:
-        """Return whether a row without impacts is still delayed: there were no impacts for less than `bound_s`."""
+        """Return whether a row without impacts is still delayed, because `since_s` is less than `bound_s`."""
         return self.since_s < self.bound_s
 
 
@@ -173,9 +176,9 @@ class ImpactPause:
 class Progress:
     """Progress towards the first row after the last change, as numbers of windows.
 
-    The last change is that of drive, gap label or calibration, a loss of scans, a reset of the rig, or, before the
-    first row, an unsound window. After the first row, the progress is complete. Once the next row takes more windows
-    than the newest one averaged, it is the progress towards that.
+    A change is a new drive, gap label or calibration, a loss of scans, a reset of the rig, or an unsound window before
+    the first row. After the first row, the progress is complete. If the next row is overdue (`Judge.late`), the
+    progress is that towards the next row.
     """
 
     windows: int  # number since the last change; at most `needed`
@@ -185,10 +188,10 @@ class Progress:
 
     @property
     def reason(self) -> str:
-        """Sentence for users that the row is delayed because a sphere may still strike; empty if it is not delayed.
+        """Sentence for users if the row is delayed because a sphere may still strike; otherwise empty.
 
-        It states how long the row waits at most, in seconds since the last impact, or since the drive started or the
-        gap was labelled if that is later.
+        The sentence states the longest wait in seconds. The wait counts from the last impact, the start of the drive or
+        the label of the gap, whichever is latest.
         """
         if not self.quiet.is_waiting:
             return ""
@@ -196,7 +199,7 @@ class Progress:
 
 
 class Judge:
-    """Judge of settling for one drive setting: it keeps the newest windows and decides when they give a row."""
+    """Decision logic for one drive setting, which keeps the newest windows and decides when they give a row."""
 
     def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
         self._calibration = calibration
@@ -224,10 +227,11 @@ class Judge:
     def add(self, window: Cycles, quiet: ImpactPause = ImpactPause()) -> Measurement | None:
         """Add the next window of drive cycles; return a measurement if the response has settled or the wait is over.
 
-        `quiet` is the wait for the sphere, as it stands at the end of the window. An unsound window (over range, not
-        finite, noisy) is discarded together with all windows before it. The result is then a measurement that has only
-        a status. While windows stay unsound for the same reason, only every `windows`-th of them gives that result
-        again, and the others give None.
+        Otherwise the result is None. `quiet` is the wait for the sphere at the end of the window.
+
+        An unsound window (such as over range, not finite or noisy) discards all windows so far and gives a measurement
+        that has only a status. If the next windows are unsound for the same reason, only every `windows`-th of them
+        gives this result again.
         """
         self._quiet = quiet
         self._since_row += 1
@@ -260,11 +264,11 @@ class Judge:
         return self._given(self._held)
 
     def unsettled(self, rest: Cycles | None) -> Measurement | None:
-        """Return a measurement of the kept cycles of a record that ends before its first row; None if a row was given.
+        """Return a measurement for a record that ends before its first row, or None if a row was given.
 
-        Rows of unsound windows do not count. Kept are at most the newest `long_windows` windows. `rest` are the
-        complete cycles after them. The status of a measurement with numbers is `not_settled`, because the remaining
-        transient is unknown.
+        Rows of unsound windows do not count as given. The measurement uses the kept windows, at most the newest
+        `long_windows`, and `rest`, the complete cycles after them. If it has numbers, its status is `not_settled`,
+        because the remaining transient is unknown.
         """
         if self._reported:
             return None
@@ -293,10 +297,9 @@ class Judge:
 
     @property
     def late(self) -> bool:
-        """Return whether the next row is overdue: more windows have passed since the newest row than it averaged.
+        """Return whether the next row is overdue: more windows have passed since the newest row than that row averaged.
 
-        An unchanged response gives the next row after as many windows as the newest row averaged. It takes longer if
-        the response has become less regular, or if a sphere that may still strike delays the row.
+        A row is late if the response has become less regular, or if a sphere may still strike.
         """
         return self._reported and self._since_row > self._span
 
@@ -309,7 +312,7 @@ class Judge:
     def progress(self) -> Progress:
         """Progress towards the first row of this drive setting, or towards a row that is overdue, in windows.
 
-        At all other times, the number of windows is equal to the needed one.
+        At all other times, `windows` is equal to `needed`.
         """
         needed = max(self._settings.windows, self._due or 0)
         if self.late:
@@ -319,10 +322,10 @@ class Judge:
         return Progress(self._whole, max(needed, self._whole + 1), self._remnant)  # no row yet: at least one more
 
     def _compared(self, found: Measurement) -> Measurement:
-        """Compare a measurement with the last good row, and return it unless one channel alone has changed since then.
+        """Return a measurement unchanged, unless one channel alone has changed since the last good row.
 
-        Such a channel must have changed its gain, because the drive is the same. The result is then a measurement that
-        has only a status and the name of that channel.
+        In this case, the gain of the channel has changed, because the drive is the same. The result is then a
+        measurement that has only a status and the name of the channel.
         """
         if found.amplitudes is None or found.status is Status.NOT_SETTLED:
             return found
@@ -336,9 +339,9 @@ class Judge:
         return found
 
     def _lost_signal(self, window: Cycles) -> Rejection | None:
-        """Return a rejection if laser or base has no signal in this window but had one in the window before; else None.
+        """Return a rejection if laser or base has lost its signal since the window before; else None.
 
-        A signal that is too weak to stand out clearly in a single window is not considered.
+        Only a signal that stands out clearly in a single window is considered.
         """
         if not self._windows:
             return None
@@ -416,10 +419,10 @@ class Judge:
         return measure(cycles, self._calibration, self.frequency_hz, self._settings, bias, self._reference, worst)
 
     def _noise(self, ratio: float) -> float:
-        """Return the standard uncertainty of X_1 / X_b = `ratio` due to noise, if it is averaged over several windows.
+        """Return the standard uncertainty of X_1 / X_b = `ratio` due to noise, if averaged over the setting `windows`.
 
-        Their number is the setting `windows`. The noise is that of the newest window. If the base does not move or
-        `ratio` is not finite, the result is infinite.
+        The noise is that of the newest window. The result is infinite if the base does not move or `ratio` is not
+        finite.
         """
         window = self._windows[-1]
         moved = self._noise_per_scan / self._scales**2  # as displacement, like `ratio`

@@ -11,13 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sine fits of IEEE Std 1057: known frequency (three parameters, or more with harmonics) and refined frequency (four).
+"""Sine fits of IEEE Std 1057, with a known frequency (three parameters) or with a refined frequency (four parameters).
+
+The numbers of parameters are those for a single harmonic; more harmonics can be fitted.
 
     y_k = C + Σ_h (A_h cos hωt_k + B_h sin hωt_k) = C + Re Σ_h Y_h e^{ihωt_k},   t_k = k / rate,   Y_h = A_h − iB_h
 
 Standard uncertainties follow from the residual's spectral density *near each harmonic* times the inverse normal matrix.
-For white noise this is the usual formula. It is also right for coloured noise, because the fit is only sensitive to
-noise near the harmonic.
+They are also right for coloured noise, because the fit is only sensitive to noise near the harmonic.
 """
 
 from __future__ import annotations
@@ -74,11 +75,15 @@ class SineFit:
 
 
 def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
-    """Fit an offset and the harmonics of a known frequency to samples: three parameters for harmonics = 1.
+    """Fit an offset and the harmonics of a known frequency to samples (three parameters if `harmonics` is 1).
 
-    `y` has shape (n,); `harmonics` counts the fundamental. If y cannot be fitted, the status of the result is the
-    reason: `too_few_cycles` (also of samples), `not_finite`, `constant`, or `no_frequency` if a harmonic is not between
-    0 and rate / 2.
+    `y` has shape (n,). `harmonics` is the number of harmonics, fundamental included. If y cannot be fitted, the status
+    of the result is the reason:
+
+    - `no_frequency`: a harmonic is not between 0 and rate / 2.
+    - `too_few_cycles`: the record has too few cycles or too few samples.
+    - `not_finite`: a sample is not finite.
+    - `constant`: all samples are equal.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -89,11 +94,11 @@ def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -
 
 
 def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
-    """Fit an offset, harmonics and their fundamental frequency to samples: four parameters for harmonics = 1.
+    """Fit an offset, harmonics and their fundamental frequency to samples (four parameters if `harmonics` is 1).
 
-    The fit is a Gauss–Newton iteration that starts at `frequency_hz`, which must be right to within about half a cycle
-    over the record. Data that `fit_sine` refuses are refused with the same status. The status is `no_fit` if the
-    iteration does not converge.
+    The fit is a Gauss–Newton iteration that starts at `frequency_hz`. This start value must be right to within about
+    half a cycle over the record. If the data cannot be fitted, the status is that of `fit_sine`. If the iteration does
+    not converge, the status is `no_fit`.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -122,10 +127,10 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
 
 
 def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
-    """Solve design · solution ≈ y; return the solution, shape (p,), and the inverse of the normal matrix, shape (p, p).
+    """Solve design · solution ≈ y by least squares, and return (solution, inverse of the normal matrix).
 
-    `design` has shape (n, p) and linearly independent columns, which are scaled to equal norm internally; `y` has shape
-    (n,). The method is fast for n much larger than p.
+    `design` has shape (n, p) and linearly independent columns, and `y` has shape (n,). The solution has shape (p,), and
+    the inverse has shape (p, p). The method is fast for n much larger than p.
     """
     normal = design.T @ design
     size = np.sqrt(np.diagonal(normal))
@@ -134,9 +139,10 @@ def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
 
 
 def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
-    """Return the variance per sample of white noise that is as strong as a residual is near a frequency.
+    """Return the variance per sample of the white noise that has the spectral density of a residual near a frequency.
 
-    If the record is too short for `NEAR_BINS` spectral lines near the frequency, it is the variance of the residual.
+    If the record is too short for `NEAR_BINS` spectral lines near the frequency, the result is the variance of the
+    residual.
     """
     power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     middle = round(frequency_hz / rate_hz * len(residual))
@@ -172,11 +178,11 @@ def _finished(
     y: Real, rate_hz: float, frequency_hz: float, design: Real, normal: Real, solution: Real, harmonics: int,
     scale: float, middle_s: float | None = None,
 ) -> SineFit:  # fmt: skip
-    """Return the result of a fit: the solution of the least-squares problem as phasors with uncertainties.
+    """Return the result of a fit: the least-squares solution as phasors with uncertainties.
 
-    `y` are the samples divided by `scale`; `normal` is the inverse of the normal matrix of `design`. If the frequency
-    was fitted, its column is the last one of the design, and `middle_s` is the time from the first sample to the middle
-    of the record [s]; otherwise None.
+    `y` are the samples divided by `scale`. `normal` is the inverse of the normal matrix of `design`. If the frequency
+    was fitted, the last column of `design` belongs to the frequency, and `middle_s` is the time from the first sample
+    to the middle of the record [s]. Otherwise `middle_s` is None.
     """
     residual = y - design @ solution
     freedom = len(y) - design.shape[1]

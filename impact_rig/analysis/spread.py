@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Regime of successive cycles (periodic, modulated or chaotic), and the uncertainty of their mean.
+"""Regime of successive drive cycles (periodic, modulated or chaotic), and the uncertainty of their mean.
 
-The regime is judged on ε_k, the relative deviation of the fundamental of x_1 fitted cycle by cycle. A subharmonic orbit
-(2.5 impacts per cycle: five impacts in two cycles) repeats after p cycles. The deviation from the mean of each class k
-mod p must then vanish within noise, or within a negligible tolerance, and so must that of the phases of the impacts. (A
-light sphere can strike irregularly while the amplitude is constant.)
+The regime is judged by ε_k, the relative deviation of the fundamental of x_1 in cycle k from the mean. An orbit that
+repeats after p cycles has p classes of cycles, k mod p. Within each class, both ε_k and the phases of the impacts must
+then be equal, within noise or a negligible tolerance. The phases are needed because a light sphere can strike
+irregularly while the amplitude is constant.
 
-If the response does not repeat, its spectrum decides: a few lines (modulated) or a continuum (chaotic). That boundary
-is a convention, as for any finite record.
+If the response does not repeat, its spectrum decides: a few lines (modulated) or a continuum (chaotic). The boundary
+between the two is a convention, as for any finite record.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from impact_rig.states import Regime
 
 
 def variance_of_mean(values: Real) -> float:
-    """Return the variance of the mean of a stationary series whose values may be correlated up to n^(1/3) lags.
+    """Return the variance of the mean of a stationary series whose values may be correlated over up to n^(1/3) lags.
 
         S = γ_0 + 2 Σ_{l<=L} (1 − l/(L+1)) γ_l,   var = S / (n − L − 1),   L = ⌊n^(1/3)⌋
 
-    Newey & West (1987), Econometrica 55, 703–708; n − L − 1 instead of n makes it unbiased for uncorrelated values. The
-    values have shape (n,), n >= 4.
+    The values have shape (n,), n >= 4. Source: Newey & West (1987), Econometrica 55, 703–708, with n − L − 1 instead of
+    n to be unbiased for uncorrelated values.
     """
     n = len(values)
     deviation = values - values.mean()
@@ -53,9 +53,8 @@ def variance_of_mean(values: Real) -> float:
 def student_factor(n: int) -> float:
     """Return the factor ν/(ν − 2) by which to multiply a variance that `variance_of_mean` estimated from n values.
 
-    The estimate has ν = 3n / (2(L + 1)) degrees of freedom, but at least 3, with its longest lag L. The mean therefore
-    has Student's t distribution, whose variance is larger than that of the normal distribution by this factor (GUM
-    Supplement 1, 6.4.9).
+    The estimate has ν = 3n / (2(L + 1)) degrees of freedom, but at least 3, where L is its longest lag. The factor is
+    the variance of Student's t distribution divided by that of the normal distribution (GUM Supplement 1, 6.4.9).
     """
     freedom = max(1.5 * n / (_longest_lag(n) + 1.0), 3.0)
     return freedom / (freedom - 2.0)
@@ -66,10 +65,11 @@ def _longest_lag(n: int) -> int:
 
 
 def student_2u(freedom: float) -> float:
-    """Return the factor that enlarges a standard uncertainty u of few degrees of freedom so that ±2u covers 95.45 %.
+    """Return the factor by which to enlarge a standard uncertainty u, so that ±2u covers 95.45 %.
 
-    The quantile of Student's t distribution is computed by the expansion of Abramowitz & Stegun (1964), 26.7.5, at the
-    normal quantile 2. It is within 0.3 % of the true one from 4 degrees of freedom on. Fewer than 2 count as 2.
+    The factor is above 1 because u has only `freedom` degrees of freedom; fewer than 2 count as 2. It is the quantile
+    of Student's t distribution divided by 2, by the expansion of Abramowitz & Stegun (1964), 26.7.5. It is accurate to
+    0.3 % from 4 degrees of freedom on.
     """
     inverse = 1.0 / max(freedom, 2.0)
     return 1.0 + 1.25 * inverse + 1.531 * inverse**2 + 1.43 * inverse**3
@@ -78,12 +78,13 @@ def student_2u(freedom: float) -> float:
 def batch_variance(values: Complex, batches: int) -> Real:
     """Return the variances of the mean of a series (real, imaginary part), estimated from the means of its batches.
 
-    A batch is one of `batches` parts of equal length; the oldest values that fill none are left out. Batches much
-    longer than the correlation are practically independent, however the correlation decays (Schmeiser 1982, Operations
-    Research 30, 556–568). Shorter ones give a variance V_b from b batches that is too small; the error is proportional
-    to b. V_2b is the variance from twice as many batches. 2V_b − V_2b is free of the error (Vats & Flegal 2022,
-    Biometrika 109, 735–750). The larger of V_b and 2V_b − V_2b is used; it is V_b if n < 2b. The square of `student_2u`
-    accounts for the small number of batches. The values have shape (n,), n >= batches >= 2; the result has shape (2,).
+    A batch is one of `batches` parts of equal length; the oldest values that do not fill a batch are left out. The
+    values have shape (n,), n >= batches >= 2, and the result has shape (2,).
+
+    Batches much longer than the correlation are practically independent (Schmeiser 1982, Operations Research 30,
+    556–568). For shorter batches, the variance V_b from b batches is too small, and 2V_b − V_2b corrects this error
+    (Vats & Flegal 2022, Biometrika 109, 735–750). The larger of V_b and 2V_b − V_2b is used, or V_b if n < 2b. It is
+    multiplied by the square of `student_2u`, because the number of batches is small.
     """
     coarse = _scatter_of_batches(values, batches)
     fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse
@@ -135,16 +136,18 @@ class Behaviour:
 
 
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
-    """Classify a response by its drive cycles.
+    """Classify a response by its drive cycles as periodic, modulated or chaotic.
 
-    It is periodic if it repeats after at most `LONGEST_PERIOD` and n/4 of them, else modulated (a few spectral lines)
-    or chaotic (a continuum). The spectrum is that of ε, or that of the impact phases if the amplitude repeats.
+    The response is periodic if it repeats after at most `LONGEST_PERIOD` and at most n/4 cycles. Otherwise it is
+    modulated if its spectrum has a few lines, and chaotic if the spectrum is a continuum. The spectrum is that of ε, or
+    that of the impact phases if the amplitude repeats.
 
     Args:
-        deviation: deviation ε_k of the fundamental of x_1 in each cycle from its mean, relative to this, shape (n,).
+        deviation: ε_k, the deviation of the fundamental of x_1 in each cycle from its mean, divided by the mean, shape
+            (n,).
         noise_variance: E|ε|² that noise alone causes.
         tolerance: rms of ε up to which a deviation is negligible.
-        strikes: 1 for each cycle and part of it with an impact, 0 elsewhere (`Cycles.strikes`), shape (n, bins).
+        strikes: 1 for each part of each cycle that has an impact, else 0 (`Cycles.strikes`), shape (n, bins).
 
     Returns:
         The behaviour; its regime is `unknown` for n < 4 or values that are not finite.
@@ -171,11 +174,12 @@ def rms_deviation(values: Complex) -> float:
 
 @entry(REALS_2D, BYTES_2D, float, int, returns=(int, bool))
 def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int) -> tuple[int, bool]:
-    """Return (number p of cycles after which a response repeats, whether its amplitude repeats).
+    """Return the number of cycles after which a response repeats, and whether its amplitude repeats.
 
-    p is the smallest number from 1 to `longest` for which amplitude and impacts repeat, or 0 if there is none. The
-    amplitude repeats if the variance of ε_k within the classes k mod p is at most `limit` for some p. `deviation` are
-    the real and imaginary parts of ε_k, shape (n, 2). ε_k and `strikes` are those of `classify`.
+    The number is the smallest p from 1 to `longest` for which both amplitude and impacts repeat, or 0. The amplitude
+    repeats with p if the variance of ε_k within the classes k mod p is at most `limit`. The second value says whether
+    the amplitude repeats with any of these p. `deviation` are the real and imaginary parts of ε_k, shape (n, 2). ε_k
+    and `strikes` are described at `classify`.
     """
     n, steady = deviation.shape[0], False
     for period in range(1, longest + 1):
@@ -201,10 +205,10 @@ def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int
 def _strikes_repeat(strikes: Bytes, period: int) -> bool:
     """Return whether the impacts repeat every `period` cycles.
 
-    `strikes` has shape (n, bins): 1 where a cycle has an impact in that bin of the drive phase, else 0. A bin is
-    regular in a class of cycles k mod `period` if most cycles of the class have an impact in it or in a neighbouring
-    bin. The impacts repeat if nearly all of them are in regular bins, or if there are none. A cycle without an impact
-    in a regular bin proves nothing, because weak impacts may be missed.
+    `strikes` has shape (n, bins): 1 where a cycle has an impact in that bin of the drive phase, else 0. For each class
+    of cycles k mod `period`, a bin is regular if most cycles of the class have an impact in it or in a neighbouring
+    bin. The impacts repeat if nearly all of them are in regular bins, or if there are none. Missing impacts do not
+    count.
     """
     n, bins = strikes.shape
     regular, impacts = 0, 0

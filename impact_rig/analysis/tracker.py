@@ -11,13 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Tracker`: the transmissibility of a running rig, computed from its blocks of scans in constant memory.
+"""`Tracker`: measurement of the transmissibility of a running rig from its blocks of scans, in constant memory.
 
-A tracker receives the tables of the rig. It measures when the response has settled, and names the reason if it cannot.
-The rows of its results are the same bit for bit for any block length, and for any order in which the topics are
-delivered, as long as no table arrives more than `hold_s` late. To achieve this, the tracker delays the scans by that
-time. It counts cycles and windows from the first scan, and again from each gap, reset, or change of drive, gap label
-or calibration (`_begin`).
+A tracker receives the tables of the rig. It measures when the response has settled, and states the reason if it cannot.
+The rows of its results are the same bit for bit for any block length and any order in which the topics are delivered.
+For this purpose, it delays the scans by `hold_s`; no table may arrive later than that. Cycles and windows are counted
+from the first scan, and again from each gap, reset, or change of drive, gap label or calibration (`_begin`).
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from impact_rig.states import MEASURED, SETTLED, AnalysisWord, Status
 
 @attrs.define
 class Counters:
-    """Counts of what a tracker has received, lost and reported since it was created, for the diagnostics of a node."""
+    """Counts of what a tracker has received, lost and reported since its creation, for diagnostics."""
 
     scans: int = 0
     lost_scans: int = 0
@@ -74,7 +73,10 @@ class TrackerState:
 
 @attrs.frozen(eq=False)
 class Findings:
-    """New results of one call of a tracker: tables `transmissibility/table` of one row each, and tables `impacts`."""
+    """New results of one call of a tracker.
+
+    `measurements` are tables `transmissibility/table` of one row each. `impacts` are tables `impacts`.
+    """
 
     measurements: tuple[Table, ...] = ()
     impacts: tuple[Table, ...] = ()
@@ -91,7 +93,10 @@ class _Command(NamedTuple):
 
 
 class _Reset(NamedTuple):
-    """Reset of the rig, to be applied when its scans arrive: the stamp of the new scan 0 and the new calibration."""
+    """Reset of the rig: the stamp [ns] of the new scan 0, and the new calibration.
+
+    A reset is applied when the scans after it arrive.
+    """
 
     start_ns: int
     calibration: Calibration
@@ -173,21 +178,21 @@ class Tracker:
 
     @property
     def is_calibrated(self) -> bool:
-        """Return whether `daq/info` has arrived; without it no scan can be measured."""
+        """Return whether `daq/info` has arrived; without calibration, no scan can be measured."""
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:
-        """Register the calibration; a repetition of the last table is ignored.
+        """Register the calibration of the channels; a repetition of the last table is ignored.
 
-        The first calibration applies to all scans. Another one applies from its stamp on, and discards the measurement
-        in progress: its row has only a status. If the table has another time of scan 0 or another scan rate than the
-        last one, the rig was reset: the scans from its new scan 0 on are measured as a new record.
+        The first calibration applies to all scans. A later calibration applies from its stamp on. It discards the
+        measurement in progress, whose row then has only a status. If the time of scan 0 or the scan rate differs from
+        that of the last table, the rig was reset. The scans from the new scan 0 on are then measured as a new record.
 
         Args:
             info: a table `daq/info`, one row per channel.
 
         Raises:
-            ConfigError: the table is invalid, such as one that lists a channel twice.
+            ConfigError: the table is invalid, for example because it lists a channel twice.
         """
         need_columns(info, DAQ_INFO, topics.INFO.name, later=STEPS)
         calibration = Calibration.from_info(info.rows)
@@ -217,14 +222,14 @@ class Tracker:
             self._resets.append(_Reset(start_ns, calibration))
 
     def on_applied(self, applied: Table) -> None:
-        """Register commands to the drive; one equal to the present command has no effect.
+        """Register commands to the drive; a command equal to the present one has no effect.
 
-        A changed one discards the measurement in progress: its row has only a status.
+        A changed command discards the measurement in progress, whose row then has only a status.
 
         Args:
-            applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on. If the
-                scans from then on have been measured already, it applies to the first scan not measured yet, and is
-                counted as late.
+            applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on. If these
+                scans have been measured already, the row applies from the first scan not measured yet, and is counted
+                as late.
 
         Raises:
             ConfigError: the table is invalid, or one of its times is not a number or is too large.
@@ -241,9 +246,9 @@ class Tracker:
             self._schedule(instant, _Command(float(row["frequency"]), float(row["current"])))
 
     def label(self, gap_m: float, stamp_ns: int) -> None:
-        """Register the operator's label of the gap, which the rows of the measurement state.
+        """Register the operator's label of the gap, which is stated in the rows of the measurement.
 
-        A changed label discards the measurement in progress: its row has only a status.
+        A changed label discards the measurement in progress, whose row then has only a status.
 
         Args:
             gap_m: total gap [m]; 0 = no sphere, NaN = unknown.
@@ -252,11 +257,11 @@ class Tracker:
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
-        """Process the next block of scans; blocks must be passed in order.
+        """Process the next block of scans, and return new results; blocks must be passed in order.
 
-        Blocks that arrive before the first calibration wait for it. Those that are older than `hold_s` by then are
-        dropped and counted. A repetition of the newest block is ignored. If blocks are missing, or the stamps go back,
-        a row states this, and a new measurement begins.
+        Blocks that arrive before the first calibration are kept until it arrives. Blocks older than `hold_s` at that
+        time are dropped and counted. A repetition of the newest block is ignored. If blocks are missing, or the stamps
+        go back, a row states this, and a new measurement begins.
 
         Args:
             scan: a table `daq/scan`.
@@ -266,7 +271,7 @@ class Tracker:
             impacts detected. Both are often empty.
 
         Raises:
-            ConfigError: the table lacks a column, or has text instead of numbers there.
+            ConfigError: the table lacks a column, or a column has text instead of numbers.
         """
         absent = CHANNELS if self._calibration is None else self._calibration.absent
         rows = scan.rows
@@ -317,8 +322,9 @@ class Tracker:
     def progress(self) -> Progress | None:
         """Progress towards the first row after the last change; None without a drive frequency that can be measured.
 
-        The measurement has `windows` of the `needed` windows. `reason` says how long a sphere may delay the row, and is
-        empty if none does. After the first row, it is complete, or it is the progress towards a row that is overdue.
+        The measurement has `windows` of the `needed` windows. If a sphere may still strike and delays the row, `reason`
+        says how long; otherwise it is empty. After the first row, the progress is complete, or it is the progress
+        towards a row that is overdue.
         """
         if self._accumulator is None:
             return None
@@ -332,21 +338,23 @@ class Tracker:
 
     @property
     def state(self) -> TrackerState:
-        """Present state: `word` (settling, measuring, …), `reason`, and the rig time of its start, `since_ns` [ns]."""
+        """Present state of the measurement.
+
+        It has a `word` (settling, measuring, …), a `reason`, and the rig time of its start, `since_ns` [ns].
+        """
         return self._state
 
     def flush(self, *, take_unsettled: bool = False) -> Findings:
-        """Measure the scans that are still delayed; call this at the end of a record.
+        """Measure the scans that are still delayed, and return the last results; call this at the end of a record.
 
         A row that is delayed because a sphere may still strike is returned as well.
 
         Args:
-            take_unsettled: whether a record that ends before its first row gives one row of its cycles, with the status
-                `not_settled` or, without numbers, with the reason.
+            take_unsettled: whether a record that ends before its first row gives one row of its cycles. The status of
+                this row is `not_settled` or, without numbers, the reason.
 
         Returns:
-            The last results. They contain impacts only of blocks that were still waiting for the calibration; all
-            others were already returned by `feed`.
+            The last results. They contain impacts only of blocks that still waited for the calibration.
         """
         early = self._feed_each(self._take_early(self._start_ns if self.is_calibrated else math.inf))
         if self._started:
@@ -360,10 +368,10 @@ class Tracker:
         return Findings(measurements, early.impacts)
 
     def _take_early(self, first_ns: float, end_ns: float = math.inf) -> list[Table]:
-        """Return the blocks waiting for the first calibration that begin from `first_ns` to before `end_ns` [ns].
+        """Return the blocks kept for the first calibration that begin from `first_ns` to before `end_ns` [ns].
 
-        At most `MOST_EARLY` blocks are returned, the newest ones. All others are dropped, and their scans are counted
-        as `unconfigured_scans`.
+        At most the newest `MOST_EARLY` of these blocks are returned. All other kept blocks are dropped, and their scans
+        are counted as `unconfigured_scans`.
         """
         early, self._early = self._early, []
         kept = [one for one in early if first_ns <= one.stamp_ns < end_ns][-MOST_EARLY:]
@@ -378,7 +386,7 @@ class Tracker:
         )
 
     def _take_unsettled(self) -> None:
-        """Add a `not_settled` row of the cycles that are kept (`Judge.unsettled`), or a row with only the reason."""
+        """Add a `not_settled` row of the kept cycles (`Judge.unsettled`), or a row with only the reason."""
         accumulator = self._accumulator
         if accumulator is None:
             self._emit_status(Status.NO_FREQUENCY, self._buffer.end - 1)
@@ -391,10 +399,10 @@ class Tracker:
             self._emit(found, self._buffer.end - 1)
 
     def _feed_broken(self, scan: Table, numbers: NDArray[np.float64]) -> Findings:
-        """Process a block that lacks scans at its beginning or inside it, as several blocks without gaps.
+        """Split a block that lacks scans at its beginning or inside it into blocks without gaps, and process these.
 
-        `numbers` are the indices of its scans relative to its stamp. If they are not increasing or too large (the scans
-        have another rate than in `daq/info`, or times that are not numbers), all scans count as lost.
+        `numbers` are the indices of the scans relative to the stamp of the block. If they are not increasing or too
+        large (wrong rate or invalid times), all scans count as lost.
         """
         rate = self._rate
         if not ((np.abs(numbers) <= LONGEST_S * rate).all() and (np.diff(numbers) > 0).all()):
@@ -434,7 +442,7 @@ class Tracker:
         self._hold = max(self._hold, self._detector.behind)
 
     def _begin_again(self, reset: _Reset) -> None:
-        """Apply a reset of the rig: measure the scans before it that still wait, and begin a new record after it."""
+        """Apply a reset of the rig: measure the delayed scans before the reset, and begin a new record."""
         buffer, end = self._buffer, self._buffer.end
         cut = scan_index(reset.start_ns, self._rate, self._start_ns)
         if cut > end or not self._started:
@@ -460,10 +468,10 @@ class Tracker:
         self._begin(first)
 
     def _resume(self, index: int) -> None:
-        """Start to measure at scan `index`, which does not directly follow the scan before it.
+        """Start to measure at scan `index`, which does not directly follow the last scan.
 
-        It is the first scan of all, or blocks before it were lost, or the scans went back. In the last two cases, a row
-        states the reason, even if there is no drive.
+        The scan is the first scan of all, or blocks before it were lost, or the stamps went back. In the last two
+        cases, a row states the reason, even without a drive.
         """
         back = self._started and index < self._buffer.end
         lost = self._started and not back
@@ -486,7 +494,7 @@ class Tracker:
             self._enter(AnalysisWord.LOST_SCANS, Status.LOST_BLOCKS, index)
 
     def _advance(self, until: int) -> None:
-        """Measure the scans before the index `until`, and apply each queued event at the scan from which it acts."""
+        """Measure the scans before the index `until`, and apply each queued event at its scan."""
         rate = self._rate
         while self._events:
             at = first_scan_at(self._events[0][0], rate, self._start_ns)
@@ -523,17 +531,15 @@ class Tracker:
     def _enter(self, word: AnalysisWord, reason: str, scan: int) -> None:
         """Set the state from a scan on.
 
-        A state that is set again keeps its start, except `settling` without a reason, which begins again.
+        If the state is set again, it keeps its start. Only `settling` without a reason starts again.
         """
         if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (AnalysisWord.SETTLING, ""):
             self._state = TrackerState(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
     def _begin(self, index: int) -> None:
-        """Start new cycles and windows at scan `index`.
+        """Start new cycles and windows at scan `index`, with the present drive, calibration and settings.
 
-        It is the first scan of all, after a reset or after lost scans, or one where drive, label or calibration change.
-        Indices count from the scan at `_start_ns`. The cycles and windows use the present drive, calibration and
-        settings. The column `waited` of the rows counts from there.
+        Index 0 is the scan at `_start_ns`. The column `waited` of the rows counts from the scan `index`.
         """
         assert self._calibration is not None
         rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0
@@ -550,7 +556,7 @@ class Tracker:
         self._judge = Judge(self._calibration, frequency, self._settings)
 
     def _measure(self, until: int) -> None:
-        """Accumulate the scans before `until` and evaluate every window they complete."""
+        """Add the scans before `until` to their cycles, and evaluate every window that they complete."""
         begin = self._measured
         if until <= begin:
             return
@@ -587,12 +593,10 @@ class Tracker:
     def _quiet(self, scan: int, struck: float) -> ImpactPause:
         """Return the wait for a sphere at a scan: the time without impacts so far, and how long it may delay a row.
 
-        The last impact was at the scan `struck`; NaN means that there was none. The time counts from the last impact,
-        the start of the drive or that of the label, whichever is latest.
-
-        With a label, the wait is the time to cross the gap at `slowest_speed`, at most `wait_limit_s`, and 0 for a gap
-        of 0. Without a label, the first impact proves that there is a sphere; the wait is then `wait_limit_s`, because
-        its flight distance is unknown. If impacts cannot be counted, there is no wait.
+        `struck` is the scan of the last impact, NaN for none. The time counts from the last impact, the start of the
+        drive or that of the label, whichever is latest. The longest wait is the time to cross the labelled gap at
+        `slowest_speed`, at most `wait_limit_s`. Without a label, it is `wait_limit_s` after a first impact, and 0
+        before. There is no wait if the gap is 0 or impacts cannot be counted.
         """
         assert self._calibration is not None
         never, unknown = math.isnan(struck), math.isnan(self._gap_m)
@@ -611,9 +615,9 @@ class Tracker:
         self._take_impacts(until)
 
     def _take_impacts(self, before: int) -> NDArray[np.void]:
-        """Remove and return the impacts before scan `before` from those that wait for the measurement.
+        """Remove and return the detected impacts before scan `before` from those not yet used by the measurement.
 
-        They wait because the measurement is delayed, but impacts are detected at once.
+        Impacts are detected at once, but the measurement is delayed.
         """
         onsets = joined([NO_IMPACTS, *self._impacts_ahead])
         impacts = self._detector.timed(onsets)
@@ -624,7 +628,7 @@ class Tracker:
         return impacts[:later]
 
     def _counted(self, window: Cycles, accumulator: Accumulator) -> Cycles:
-        """Return a window of cycles with its impacts filled in, if impacts can be counted."""
+        """Return a window of cycles with its impacts filled in, or unchanged if impacts cannot be counted."""
         assert self._calibration is not None
         if not counts_impacts(self._calibration):
             return window
@@ -637,7 +641,7 @@ class Tracker:
         return impact_tables(self._detector.timed(found), self._rate, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:
-        """Discard the measurement in progress, if there is one, with a row that has only `status` as the reason."""
+        """Discard the measurement in progress, if there is one, and add a row with only `status`."""
         if self._accumulator is not None:
             self._add(self._accumulator)
             if self._accumulator.pending_cycles or self._judge.pending:

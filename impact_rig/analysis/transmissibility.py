@@ -14,17 +14,19 @@
 """Displacement transmissibility DT = |X_1| / |X_b| at the drive frequency, its phase, and their uncertainties.
 
 X_1 and X_b are means of the cycles' fitted phasors, corrected for skew and sensor lag (`calibration`). The phase is
-that of X_1 relative to X_b: negative = x_1 lags x_b. Combined standard uncertainty (GUM, relative for DT, rad for the
-phase, sensitivities of the complex quotient D = X_1/X_b):
+that of X_1 relative to X_b; it is negative if x_1 lags x_b. The combined standard uncertainty (GUM, relative for DT,
+rad for the phase) has the sensitivities of the complex quotient D = X_1/X_b:
 
     u²(DT)/DT² = u_A² + u²(S_laser) + u²(S_base) + u_Q² + Σ (Re ∂lnL/∂ln τ · u_τ)² + max(Re²(bias/D) − u_A², 0)/3
     u²(phase)  = u_A² +                            u_q² + Σ (Im ∂lnL/∂ln τ · u_τ)² + max(Im²(bias/D) − u_A², 0)/3
 
-u_A is the larger of the fit's residual noise, taken as white, and the scatter of the cycles including correlation; for
-a response that is not periodic, batch means of the cycles are used instead. bias is the possible remnant of a
-transient. u_Q and u_q are the effects of the steps of sensors and converter on amplitude and phase if noise does not
-blur them (`calibration`; `_rounding`). A result with u(DT) above `worst_relative_uncertainty` is not reported as a
-number.
+- u_A: the larger of the fit's residual noise, taken as white, and the scatter of the cycles including correlation. For
+  a response that is not periodic, the scatter follows from batch means of the cycles.
+- bias: possible remnant of a transient
+- u_Q, u_q: effects of the steps of sensors and converter on amplitude and phase, if noise does not average them out
+  (`calibration`; `_rounding`)
+
+A result with u(DT)/DT above `worst_relative_uncertainty` has a status instead of numbers.
 """
 
 from __future__ import annotations
@@ -89,16 +91,16 @@ class Measurement:
 
 
 def counts_impacts(calibration: Calibration) -> bool:
-    """Return whether impacts can be counted: an accelerometer was measured, with at least `MIN_RATE_HZ` scans/s."""
+    """Return whether impacts can be counted: an accelerometer was measured, at `MIN_RATE_HZ` or more scans/s."""
     return calibration.rate_hz >= MIN_RATE_HZ and bool(calibration.present[ACCELEROMETER])
 
 
 def measure_record(
     rows: NDArray[np.void], info: NDArray[np.void], frequency_hz: float, settings: TrackerSettings | None = None
 ) -> Measurement:
-    """Measure the transmissibility from all complete drive cycles of a record, whose response is assumed to be settled.
+    """Measure the transmissibility from all complete drive cycles of a record; the response is assumed to be settled.
 
-    If that is impossible, the result has the reason as its status and no numbers.
+    If the measurement is impossible, the result has no numbers, and its status is the reason.
 
     `rows` are consecutive scans (`daq/scan`), shape (n,); `info` are the rows of `daq/info`. Of the settings, only
     those of harmonics, periodicity and uncertainty are used.
@@ -134,10 +136,11 @@ def measure(
 ) -> Measurement:
     """Measure the transmissibility from settled, consecutive cycles of one commanded frequency.
 
-    `bias` is the possible error of the complex transmissibility due to a remaining transient. `before` are the
-    amplitudes of an earlier measurement of the same drive setting, with which the channels are compared; None compares
-    nothing. `worst` is the largest relative standard uncertainty of DT with which a result has numbers; None means
-    `worst_relative_uncertainty` of the settings. A measurement without numbers has the reason as its status.
+    If the measurement is impossible, the result has no numbers, and its status is the reason. `bias` is the possible
+    error of the complex transmissibility due to a remaining transient. `before` are the amplitudes of an earlier
+    measurement of the same drive setting, with which the channels are compared; None skips the comparison. `worst` is
+    the largest relative standard uncertainty of DT for which the result has numbers. None means
+    `worst_relative_uncertainty` of the settings.
     """
 
     def refuse(why: Rejection, largest: str = "") -> Measurement:
@@ -252,14 +255,12 @@ def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[C
     """Remove the linear phase drift of a reference channel from all phasors.
 
     A DAQ clock that is off by some ppm makes the phases drift from cycle to cycle, which would reduce the mean
-    amplitudes. The reference is the current if it has a clear signal, else the base. If neither has one, nothing is
-    removed.
-
-    `noise` is the variance of a sample of each channel [unit²], shape (4,).
+    amplitudes. The reference is the current if it has a clear signal, else the base. Without a clear signal, nothing is
+    removed. `noise` is the variance of a sample of each channel [unit²], shape (4,).
 
     Returns:
         The phasors, shape (n, 4, H) as in `cycles`, and the measured minus the commanded drive frequency [Hz] (the
-        fourth parameter of IEEE Std 1057); it is NaN if nothing was removed.
+        fourth parameter of IEEE Std 1057), NaN if nothing was removed.
     """
     time = (cycles.first + (cycles.samples - 1) / 2.0) / calibration.rate_hz
     time -= time.mean()
@@ -277,7 +278,8 @@ def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[C
 def _amplitude_u(phasors: Complex, white: float) -> float:
     """Return the standard uncertainty of the amplitude of the mean of some phasors.
 
-    It follows from their scatter, or from `white`, the E|…|² that white noise causes in the mean, if that is larger.
+    The uncertainty follows from the scatter of the phasors, or from `white` if that is larger. `white` is the mean
+    square error of the mean due to white noise.
     """
     n = len(phasors)
     scatter = float(np.sum(np.abs(phasors - phasors.mean()) ** 2)) / (n * (n - 1))
@@ -330,13 +332,12 @@ def _parts(
 
 
 def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[_Part]:
-    """Return the contributions to the uncertainty of DT and phase by the steps of laser and base.
+    """Return the contributions of the resolution steps of laser and base to the uncertainty of DT and phase.
 
-    For a pure sine sampled at many phases, the error of rounding changes only the amplitude (`calibration`). With
-    overtones, the phase has such an error too, as large as that of the amplitude if they are at least a step. If the n
-    samples fall on only N different drive phases, the errors at these do not average out, and affect amplitude and
-    phase alike. With v, the `steps_variance` of the channel, their variance is 2 v / N. The scatter of the cycles
-    contains only 2 v / n of it, so the rest is added here.
+    For a pure sine, the rounding error changes only the amplitude (`calibration`). Overtones of at least one step make
+    the error of the phase as large. If the n samples fall on only N different drive phases, the rounding errors do not
+    average out. They add the variance 2 v / N, where v is the channel's `steps_variance`, less the 2 v / n that the
+    scatter of the cycles already contains.
     """
     n = int(cycles.samples.sum())
     phases = distinct_phases(n, calibration.rate_hz / frequency_hz)
@@ -356,11 +357,10 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
 
 
 def note_on(row: np.void | NDArray[np.void]) -> str:
-    """Return a caveat on a row of `transmissibility/table` with the status `no_impacts`; empty for other rows.
+    """Return a remark on a row of `transmissibility/table` with the status `no_impacts`; empty for other rows.
 
-    It says for how long there was no impact, and that a slow sphere could still strike. The time without impacts is the
-    shorter of `impact_age` and `waited`, because the drive was different before. The stated speed is that of a sphere
-    that crosses the labelled gap in this time; without a label of the gap, no speed is stated.
+    The remark says how long there was no impact (the shorter of `impact_age` and `waited`), and that a slow sphere
+    could still strike. If the gap is labelled, it also states the speed of a sphere that crosses the gap in this time.
     """
     if row["status"] != Status.NO_IMPACTS.value.encode():
         return ""
@@ -370,10 +370,10 @@ def note_on(row: np.void | NDArray[np.void]) -> str:
 
 
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
-    """Return a measurement as a table `transmissibility/table` of one row, stamped with the stamp of its last scan.
+    """Return a measurement as a table `transmissibility/table` of one row.
 
-    `gap_m` is the operator's label of the gap [m], NaN if unknown. `waited_s` is the time [s] since drive, label or
-    calibration last changed, scans were lost, or the record began.
+    `stamp_ns` is the stamp of the last measured scan. `gap_m` is the operator's label of the gap [m], NaN if unknown.
+    `waited_s` is the time [s] since drive, label or calibration last changed, scans were lost, or the record began.
     """
     row = np.zeros(1, dtype=TRANSMISSIBILITY)
     for column, value in {

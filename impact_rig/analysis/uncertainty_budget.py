@@ -13,9 +13,10 @@
 # limitations under the License.
 """Uncertainty budget of the mean transmissibility of settled measurements, line by line as in the GUM.
 
-The module also has the coverage factor of every expanded uncertainty, and the text of a value with its uncertainty.
+The module also has the coverage factor of every expanded uncertainty, and functions that format a value with its
+uncertainty.
 
-The relative variance of DT is the sum of four terms for each of the channels laser and base, and a rest:
+The relative variance of DT is the sum of four terms for each of the channels laser and base, and a remainder:
 
     u²(DT)/DT² = u²(ε) + Σ { u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnH/∂ln τ · u_τ)² + u_Q² }
 
@@ -24,8 +25,8 @@ The relative variance of DT is the sum of four terms for each of the channels la
   linearity, c_3 the unknown share of the cubic in it (`calibration`).
 - u_τ: relative uncertainty of the sensor's lag τ. H is the frequency response of that lag.
 - u_Q: steps of sensor and converter
-- u(ε): noise, scatter and the remnant of a transient. It is the rest of the stated total, so the lines add up to the
-  total; it is 0 if the other terms already exceed the total.
+- u(ε): noise, scatter and the remnant of a transient. It is the remainder of the stated total, so the lines add up to
+  the total. It is 0 if the other terms already exceed the total.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 
 
 def rounded(value: float, u: float) -> tuple[str, str]:
-    """Return a value and its expanded uncertainty 2u as two texts, both to the second significant digit of 2u.
+    """Return a value and its expanded uncertainty 2u as two texts, both rounded to the second significant digit of 2u.
 
-    A number that is NaN or infinite becomes "-", and a zero has no minus sign. A value whose 2u is zero, negligible or
-    not finite has ten digits.
+    A number that is NaN or infinite becomes "-", and a zero has no minus sign. If 2u is zero, negligible or not finite,
+    the value has ten significant digits.
     """
     expanded = COVERAGE * u
     if not (math.isfinite(value) and max(CERTAIN, CERTAIN_PART * abs(value)) < expanded < math.inf):
@@ -64,17 +65,18 @@ def _text(number: float, spec: str) -> str:
 
 
 def plus_minus(value: float, u: float) -> str:
-    """Return `value ± 2u` as `rounded` formats it, e.g. "63.57 ± 0.32"; `u` is the standard uncertainty.
+    """Return `value ± 2u` as text, e.g. "63.57 ± 0.32", where `u` is the standard uncertainty.
 
-    A part that is NaN becomes "-", such as in "63.57 ± -".
+    Both parts are formatted by `rounded`. A part that is NaN or infinite becomes "-", as in "63.57 ± -".
     """
     return " ± ".join(rounded(value, u))
 
 
 def combined(rows: NDArray[np.void]) -> float:
-    """Return the standard uncertainty of the mean transmissibility of some rows: the rms of their uncertainties.
+    """Return the standard uncertainty of the mean transmissibility of some rows.
 
-    Averaging does not reduce it, because the errors of the sensitivities dominate it and are the same in all rows.
+    The result is the rms of the rows' uncertainties. Averaging does not reduce it, because the sensitivities dominate
+    the uncertainty, and their errors are the same in all rows.
     """
     return math.sqrt(float(np.mean(rows["transmissibility_uncertainty"] ** 2)))
 
@@ -98,9 +100,9 @@ class Budget:
     parts: Sequence[Contribution]  # the lines; their squares add up to at least (u/DT)²
 
     def share(self, part: Contribution) -> float:
-        """Return the fraction that one line contributes to the sum of the variances of all lines; 0 if that is 0.
+        """Return the fraction that one line contributes to the sum of the variances of all lines.
 
-        The fractions of all lines add up to 1.
+        The fractions of all lines add up to 1. If the sum of the variances is 0, the result is 0.
         """
         whole = sum(part.u_relative**2 for part in self.parts)
         return part.u_relative**2 / whole if whole else 0.0
@@ -109,7 +111,7 @@ class Budget:
 def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: float = 0.0) -> Budget:
     """Return the uncertainty budget of the mean transmissibility of settled rows at one frequency and gap.
 
-    The rows are those of `transmissibility/table`, shape (n,), n >= 1; `lag_uncertainty` is the relative standard
+    `rows` are rows of `transmissibility/table`, shape (n,), n >= 1. `lag_uncertainty` is the relative standard
     uncertainty of the sensors' lags.
     """
     dt, u = float(np.mean(rows["transmissibility"])), combined(rows)
@@ -136,7 +138,7 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
     """Return the relative standard uncertainty of a channel's gain because its sensor is not exactly linear.
 
-    `amplitude` is that of the vibration, in the unit of the channel. For a very small one, the result is
+    `amplitude` is the amplitude of the vibration [unit of the channel]. For a very small amplitude, the result is
     1.5 u(c_3) L/R, where L is the `linearity`, R half the range, and u(c_3) = 1/√6 (`Calibration.gain_uncertainty_at`).
     """
     half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0

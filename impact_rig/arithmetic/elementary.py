@@ -11,14 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sine and cosine, exponential, logarithm and roots from +, −, ×, ÷ and sqrt alone: the same bits on every machine.
+"""Sine and cosine, exponential, logarithm and roots, computed only with +, −, ×, ÷ and sqrt.
+
+The results are the same bits on every machine.
 
     sin x, cos x    x = k π/2 + r, |r| <= π/4: polynomials of degree 13 and 14 in r          error < 1 ulp
     exp x           x = k ln 2 + r, |r| <= ln 2 / 2: e^r = 1 + 2 r / (2 − c(r²))             error < 1 ulp
     log x           x = 2^k (1 + f): 2 s + s³ R(s²), s = f / (2 + f)                         error < 1 ulp
 
 Argument reductions and polynomials are those of fdlibm (Sun Microsystems 1993), after Cody & Waite (1980), Software
-Manual for the Elementary Functions. test/impact_rig/arithmetic compares each of them with 40 digits.
+Manual for the Elementary Functions. test/impact_rig/arithmetic compares each function with 40 digits.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ _ROUND = 6755399441055744.0  # 1.5 · 2^52: adding and subtracting it rounds to 
 
 @kernel
 def nearest(x: float) -> float:
-    """Return the integer nearest to x, for |x| < 2^51; of two that are equally near, the even one."""
+    """Return the integer nearest to x, for |x| < 2^51; halfway between two integers, return the even one."""
     return (x + _ROUND) - _ROUND
 
 
@@ -67,8 +69,8 @@ def nearest(x: float) -> float:
 def sincos(x: float) -> tuple[float, float]:
     """Return (sin x, cos x), x in radians.
 
-    The error is within 1 ulp up to |x| = 1.6e6. For larger |x|, up to 2^51, the reduction to |r| <= π/4 adds an
-    error of about the spacing of floats at x. Beyond 2^51, the results are meaningless.
+    The error is within 1 ulp up to |x| = 1.6e6. For larger |x|, up to 2^51, there is an additional error of about the
+    spacing of floats at x. Beyond 2^51, the results are meaningless.
     """
     k = (x * _TWO_OVER_PI + _ROUND) - _ROUND
     first, second = x - k * _HALF_PI_1, k * _HALF_PI_2  # both exact
@@ -126,7 +128,7 @@ def log(x: float) -> float:
 
 @kernel
 def power(x: float, y: float) -> float:
-    """Return x^y for a finite x > 0, with an error within (1 + 3 |y ln x|) ulp; 0 for x <= 0, whatever y is."""
+    """Return x^y for a finite x > 0, with an error within (1 + 3 |y ln x|) ulp; return 0 for x <= 0."""
     return exp(y * log(x)) if x > 0.0 else 0.0
 
 

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Polynomials of degree seven on a piece, x = −1 … 1, through eight Chebyshev points node_q = −cos((2q + 1) π/16).
+"""Interpolation by polynomials of degree seven on a piece, x = −1 … 1, through eight Chebyshev points.
 
-    S(x) = Σ_k S_k x^k,   S_k = Σ_q TO_MONOMIALS[k, q] S(node_q)
+    S(x) = Σ_k S_k x^k,   S_k = Σ_q TO_MONOMIALS[k, q] S(node_q),   node_q = −cos((2q + 1) π/16)
 
-Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). For a smooth S of angular frequency
-ω on a piece of the duration 2 half, the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15
-if it is a hundredth.
+Column q of TO_MONOMIALS holds the coefficients of Lagrange's polynomial Π_{i≠q} (x − node_i) / (node_q − node_i). For a
+smooth S of angular frequency ω on a piece of the duration 2 half, the error is 2 (ω half / 2)^8 / 8!: below 1e-5 for a
+piece of half a period.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ PIECE_TERMS = 14
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the Chebyshev nodes in ascending order, the matrix TO_MONOMIALS, and the matrix that `shorten` uses.
 
-    The last one replaces x^k, for k = NODES … PIECE_TERMS − 1, by the polynomial that agrees with it at the nodes: its
-    row k − NODES contains the coefficients of this polynomial, constant first.
+    The last matrix replaces x^k, for k = NODES … PIECE_TERMS − 1, by the polynomial that agrees with x^k at the nodes.
+    Row k − NODES contains the coefficients of this polynomial, constant first.
     """
     x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
     columns = []
@@ -65,8 +65,8 @@ NODE_AT, TO_MONOMIALS, _SHORTENED = _chebyshev()
 def through_nodes(values: Reals, coefficients: Reals) -> None:
     """Compute the coefficients, constant first, of the polynomial in x that has `values` at the nodes.
 
-    The nodes are the Chebyshev points `NODE_AT`, in ascending order. Both arrays have the shape (NODES,);
-    `coefficients` is overwritten.
+    The nodes are the Chebyshev points `NODE_AT`, in ascending order. Both arrays have the shape (NODES,). The result is
+    written to `coefficients`.
     """
     for j in range(NODES):
         total = 0.0
@@ -77,9 +77,10 @@ def through_nodes(values: Reals, coefficients: Reals) -> None:
 
 @kernel
 def shorten(series: Reals, coefficients: Reals) -> None:
-    """Compute the coefficients of the polynomial of NODES terms that agrees at the nodes with a power series in x.
+    """Approximate a power series in x by the polynomial of NODES terms that agrees with the series at the nodes.
 
-    `series` holds the PIECE_TERMS coefficients of the power series, constant first; `coefficients` is overwritten.
+    `series` holds the PIECE_TERMS coefficients of the series, constant first. The coefficients of the polynomial are
+    written to `coefficients`, constant first.
     """
     for j in range(NODES):
         total = series[j]
@@ -99,8 +100,8 @@ def polynomials(
     On each piece, x goes from −1 at its start to 1 at its end. The shape is (quantities, pieces, NODES).
 
     Args:
-        of: function of instants, given as their ticks and offsets into these [s], that returns the quantities, shape
-            (quantities, instants).
+        of: function that returns the quantities at instants, shape (quantities, instants), from the tick of each
+            instant and its offset into the tick [s].
         tick: number of the tick (10 ms of the scan clock) in which each piece lies.
         start: start of each piece, offset into its tick [s].
         end: end of each piece, offset into its tick [s].

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Numbers of 70 digits, for constants that are computed once and rounded once: the same bits on every machine.
+"""Arithmetic with 70 digits, for constants that are computed once and rounded once: the same bits on every machine.
 
 `decimal` rounds +, −, ×, ÷, sqrt, exp and ln correctly by its specification, so its results depend on no library of the
-machine. Cancellation does no harm: a constant that is rounded to 16 digits is computed with 70.
+machine. Cancellation does no harm, because the constants are rounded to only 16 digits.
 
     polynomial p(s) = Σ c_j s^j                    roots by Aberth's method: Newton steps that repel each other
     resolvent (s I − M)⁻¹ = Σ_j B_j s^j / p(s)     B and p by the recurrence of Faddeev and LeVerrier
@@ -48,7 +48,10 @@ R = TypeVar("R")
 
 
 def with_70_digits(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function so that it computes with `DIGITS` digits, whatever the decimal context of its caller is."""
+    """Decorate a function so that it computes with `DIGITS` (70) digits.
+
+    The decimal context of the caller has no effect.
+    """
 
     @functools.wraps(function)
     def in_context(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -60,7 +63,10 @@ def with_70_digits(function: Callable[P, R]) -> Callable[P, R]:
 
 @attrs.frozen
 class Complex:
-    """Complex number with Decimals as parts; its operators use the decimal context of the caller."""
+    """Complex number with Decimals as parts.
+
+    Its operators use the decimal context of the caller.
+    """
 
     real: Decimal
     imag: Decimal = ZERO
@@ -102,7 +108,10 @@ def exactly(value: complex) -> Complex:
 
 
 def product(factors: Iterable[Complex]) -> Complex:
-    """Return the product of the factors in the decimal context of the caller, 1 if there are none."""
+    """Return the product of the factors, or 1 if there are none.
+
+    The computation uses the decimal context of the caller.
+    """
     total = Complex(ONE)
     for factor in factors:
         total = total * factor
@@ -165,10 +174,10 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
 
 @with_70_digits
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
-    """Return the roots of a real polynomial, or None if the iteration fails, as when some are too close together.
+    """Return the roots of a real polynomial, or None if the iteration fails.
 
-    Real roots are listed first, in descending order, then one root of each conjugate pair (imaginary part > 0), in
-    ascending order of the imaginary part.
+    The iteration fails, for example, if roots are too close together. Real roots are listed first, in descending order.
+    Then one root of each conjugate pair follows (imaginary part > 0), in ascending order of the imaginary part.
 
     Args:
         coefficients: constant first.
@@ -189,10 +198,11 @@ def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Com
 
 
 def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Complex]) -> Complex | None:
-    """Return Aberth's step p / (p' − p Σ 1 / (z − other)) at z, which approximates one root of the polynomial p.
+    """Return Aberth's step p / (p' − p Σ 1 / (z − other)) for the approximation z of one root of a polynomial p.
 
-    The `coefficients` of p begin with the constant. The step is to be subtracted from z. It is 0 at a root. Elsewhere
-    it is None if z equals one of `others`, the approximations of the other roots, or if the denominator is 0.
+    The step improves z and is to be subtracted from it. `coefficients` are those of p, constant first, and `others` are
+    the approximations of the other roots. The step is 0 if z is a root. Otherwise it is None if z equals one of
+    `others`, or if the denominator is 0.
     """
     value, slope = evaluate_with_slope(coefficients, z)
     if not value.square():
@@ -207,10 +217,10 @@ def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Comple
 
 
 def _paired(found: list[Complex]) -> list[Complex] | None:
-    """Return the real roots, then those with a positive imaginary part, both sorted as `roots` returns them.
+    """Return the real roots, then the roots with a positive imaginary part, both sorted as `roots` returns them.
 
-    A root counts as real, and loses its imaginary part, if that is below `_BLUR` times the real part. Return None if
-    not every root of the latter has a conjugate: the number of roots left differs from theirs.
+    A root counts as real, and loses its imaginary part, if the imaginary part is at most `_BLUR` times the real part.
+    The result is None if the complex roots are not in conjugate pairs, judged by their number.
     """
     real = [Complex(z.real) for z in found if abs(z.imag) <= _BLUR * abs(z.real)]
     upper = [z for z in found if z.imag > _BLUR * abs(z.real)]
@@ -221,10 +231,11 @@ def _paired(found: list[Complex]) -> list[Complex] | None:
 
 @with_70_digits
 def resolvent(matrix: Matrix) -> tuple[list[Decimal], list[list[list[Decimal]]]]:
-    """Return p and B of (s I − M)⁻¹ = Σ_j B_j s^j / p(s) for a matrix M: shapes (n + 1,), (n, n, n), constants first.
+    """Return p and B of the resolvent (s I − M)⁻¹ = Σ_j B_j s^j / p(s) of an n × n matrix M.
 
-    p is the characteristic polynomial Σ c_j s^j. B_{n−1} = I and c_n = 1. Then c_j = −trace(M B_j) / (n − j) and
-    B_{j−1} = M B_j + c_j I, for j = n − 1, …, 0. The computation has `DIGITS` digits.
+    The shapes are (n + 1,) and (n, n, n), constants first. p is the characteristic polynomial Σ c_j s^j. B_{n−1} = I
+    and c_n = 1. Then c_j = −trace(M B_j) / (n − j) and B_{j−1} = M B_j + c_j I, for j = n − 1, …, 0. The computation
+    has `DIGITS` digits.
     """
     n = len(matrix)
     places = range(n)

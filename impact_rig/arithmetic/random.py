@@ -21,8 +21,8 @@
 Layers and tail use the exponential and logarithm of `elementary`. Seeds come from `numpy.random.SeedSequence`, which is
 integer arithmetic that NumPy promises not to change.
 
-**Band-passed noise** of unit rms: the normal numbers pass a digital Butterworth band-pass of 8th order, whose
-coefficients are computed with many digits and rounded once.
+**Band-passed noise** has unit rms. Normal numbers pass a digital Butterworth band-pass of 8th order, whose coefficients
+are computed with many digits and rounded once.
 
 - Prototype: s_k = e^{jπ(2k + 5)/8}, k = 0 … 3, of the low-pass with corner 1.
 - Band-pass from f_1 to f_2: s² − s_k W s + ω_0² = 0, W = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i tick), with
@@ -51,10 +51,10 @@ _AREA = 0.00492867323399  # of each layer, under exp(-x²/2)
 
 
 def _ziggurat() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the right end of each layer of the ziggurat, the lowest first, and the density there.
+    """Return the right end of each layer of the ziggurat, lowest layer first, and the density at each right end.
 
-    Both have the shape (_LAYERS + 1,). The density is exp(−x²/2), without a factor. Entry 0 is the width of a rectangle
-    with the area of the lowest layer and its tail; the density in that entry is set to 0.
+    Both arrays have the shape (_LAYERS + 1,). The density is exp(−x²/2). Entry 0 is special: its end is the width of a
+    rectangle with the area of the lowest layer and its tail, and its density is 0.
     """
     plain_exp, plain_log = getattr(exp, "py_func", exp), getattr(log, "py_func", log)  # importing compiles nothing
     ends, density = np.zeros(_LAYERS + 1), np.ones(_LAYERS + 1)
@@ -128,7 +128,7 @@ def _next(
 def _beyond(
     s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Return the magnitude of a normal number beyond `_TAIL`, the right end of the lowest layer, and the next state.
+    """Return the magnitude of a normal number in the tail, beyond `_TAIL`, and the next state of the generator.
 
     The method is that of Marsaglia (1964).
     """
@@ -144,12 +144,11 @@ def _beyond(
 def _rejected(
     bits: np.uint64, x: float, s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[np.uint64, float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Accept or reject a candidate x for the magnitude of a normal number, and draw others until one is accepted.
+    """Return the magnitude of a normal number: the candidate x if it is accepted, otherwise a new one.
 
-    x lies in a part of its layer that the layer above does not cover, where not every candidate is accepted. In the
-    lowest layer, a number of the tail replaces it. `bits` are the random bits that x was made from. The result is the
-    bits of the accepted magnitude, from which the caller takes the sign, that magnitude, and the generator's next
-    state.
+    x lies in the part of its layer that the layer above does not cover, where only some candidates are accepted. In the
+    lowest layer, a number of the tail replaces x. `bits` are the random bits that x was made from. The result is (bits
+    of the accepted candidate, magnitude, next state of the generator). The caller takes the sign from the bits.
     """
     while True:
         layer = np.int64(bits & _BYTE)
@@ -170,7 +169,7 @@ def _rejected(
 
 @entry(WORDS, REALS)
 def fill_normal(state: Words, out: Reals) -> None:
-    """Fill `out` with the next standard normal numbers of the generator `state`, which is advanced."""
+    """Fill `out` with the next standard normal numbers of the generator `state`, and advance `state`."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -184,7 +183,7 @@ def fill_normal(state: Words, out: Reals) -> None:
 
 @entry(WORDS, REALS)
 def fill_uniform(state: Words, out: Reals) -> None:
-    """Fill `out` with the next numbers, uniform in 0 <= x < 1, of the generator `state`, which is advanced."""
+    """Fill `out` with the next numbers of the generator `state`, uniform in 0 <= x < 1, and advance `state`."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -214,8 +213,8 @@ _FILTER_STATE = np.dtype(
 class BandPass(NamedTuple):
     """Digital band-pass filter: a factor for the input (`gain`), then second-order sections in series.
 
-    `filter_in_place` applies the sections, but not `gain`. `sections` are records of their coefficients a_1
-    and a_2; the least resonant section is the first.
+    `sections` are records of the coefficients a_1 and a_2 of each section, the least resonant section first.
+    `filter_in_place` applies the sections, but not `gain`.
     """
 
     gain: float
@@ -253,8 +252,8 @@ def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
 def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) -> list[Complex]:
     """Return the two poles of the digital band-pass that arise from one pole of the low-pass prototype.
 
-    The conjugates of these poles arise from the conjugate of `prototype`. `width` is W and `omega_0_square` is ω_0² of
-    the band, see the docstring of this module.
+    `width` is W and `omega_0_square` is ω_0² of the band (module docstring). The conjugate of `prototype` gives the
+    conjugates of these poles.
     """
     half_sum = prototype * Complex(width / 2)
     half_difference = square_root(half_sum * half_sum - Complex(omega_0_square))
@@ -264,7 +263,7 @@ def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) 
 def _noise_power(poles: list[Complex]) -> Decimal:
     """Return the power Σ b_n² of white noise of unit power after it has passed (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹).
 
-    p_k are `poles`: distinct, inside the unit circle, with each complex pole and its conjugate. The sum over n follows
+    `poles` are the p_k: distinct, inside the unit circle, and with the conjugate of each complex pole. The sum follows
     from the partial fractions of the filter, c + Σ r_k / (1 − p_k z⁻¹), and b_0 = 1.
     """
     residues = [_residue(k, poles) for k in range(len(poles))]
@@ -284,11 +283,13 @@ def _residue(k: int, poles: list[Complex]) -> Complex:
 
 
 class BandNoise:
-    """Stream of band-passed noise; the numbers do not depend on how many are requested at once.
+    """Stream of band-passed noise.
+
+    The numbers do not depend on how many are requested at once.
 
     Args:
         band: filter of the noise.
-        random: source of white noise for this stream alone, which draws more numbers from it than are requested.
+        random: source of white noise for this stream alone; the stream draws more numbers from it than are requested.
     """
 
     _CHUNK = 256  # numbers computed at once, few enough to keep the filter's arrays small
@@ -306,10 +307,11 @@ class BandNoise:
         return twin
 
     def numbers(self, first: int, count: int) -> NDArray[np.float64]:
-        """Return the numbers first … first + count − 1, counted from 0.
+        """Return `count` numbers of the stream, from index `first` on, counted from 0.
 
-        The first call must have `first` = 0. In each later call, `first` must be the index of a number that the call
-        before returned, or the index right after these. This is not checked: another index may give wrong numbers.
+        The first call must have `first` = 0. In each later call, `first` must be the index of a number that the
+        previous call returned, or the index after its last number. This is not checked: another index may give wrong
+        numbers.
         """
         parts = [self._ready[first - self._first_ready :]]
         there = len(parts[0])

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command `impact-rig analyze`: analysis of a recorded run like that of the live node, or as an option selects."""
+"""Command `impact-rig analyze`: analysis of a recorded run, like that of the live node or as selected by an option."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ DRAWN_CYCLES = 4
 def run_analyze(arguments: argparse.Namespace) -> int:
     """Run `impact-rig analyze`: analyse a run like the live analysis node, or as an option such as `--frf` selects.
 
-    Return the exit code: that of the selected analysis. Without such an option, it is 1 if the results differ from the
-    recorded ones of the live analysis, else 0, also if there is nothing to compare.
+    Return the exit code. With such an option, it is that of the selected analysis. Otherwise it is 1 if the results
+    differ from the recorded results of the live analysis, else 0, also if there is nothing to compare.
     """
     console = Console(quiet=arguments.json)
     for name in ("segment", "window", "damping"):
@@ -90,7 +90,7 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 def _print_last(console: Console, rows: NDArray[np.void]) -> None:
     """Print the newest settled measurement as a sentence.
 
-    If there is none, print so, and then the newest measurement that did not settle, if there is one.
+    If no measurement is settled, print this fact, and then the newest unsettled measurement, if there is one.
     """
     settled = rows[rows["settled"] == 1.0]
     if not len(settled):
@@ -116,7 +116,8 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
 def _print_measurements(console: Console, rows: NDArray[np.void], *, everything: bool) -> None:
     """Print a table with one row per measurement of a run.
 
-    Measurements without a value of DT are printed only if `everything`; otherwise one line counts them by status.
+    Measurements without a value of DT are printed only if `everything` is true. Otherwise one line counts them by
+    status.
     """
     measured = np.isin(rows["status"], [status.value.encode() for status in MEASURED])
     table = TextTable(right=("f [Hz]", "DT", "± 2u", "phase [deg]", "gap [mm]", "impacts per cycle"))
@@ -145,7 +146,7 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
 def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     """Run `impact-rig analyze --frf`: print the frequency response x_1/x_b of a run, and with `--figures` draw it.
 
-    If the drive is a sine, the response is that one line. Return exit code 0.
+    For a sine drive, the response has a single line. Return exit code 0.
     """
     from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs.excerpts import response_of  # noqa: PLC0415  # as above
@@ -238,8 +239,8 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
 def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     """Run `impact-rig analyze --sine`: print the sine fitted to each channel and DT, and with `--figures` draw them.
 
-    The scans are those of the last settled measurement, or without one those at the end of the run. Return exit code 1
-    if laser and base were measured but give no valid DT, else 0.
+    The scans are those of the last settled measurement. If there is none, they are the scans at the end of the run.
+    Return exit code 1 if laser and base were measured but give no valid DT, else 0.
     """
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
@@ -322,7 +323,9 @@ def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
 def draw_figure(
     console: Console, run: Run, arguments: argparse.Namespace, stem: str, draw: Callable[[], Figure]
 ) -> None:
-    """Draw a figure and save it in the directory of `--figures`, and print each file; without `--figures`, do nothing.
+    """Draw a figure, save it in the directory of `--figures`, and print the path of each file.
+
+    Without `--figures`, do nothing.
 
     Args:
         console: output of the command.

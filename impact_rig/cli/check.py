@@ -34,9 +34,9 @@ _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig check`: print that a configuration is valid; with `--instruments`, test each channel with a sine.
+    """Run `impact-rig check`: print that a configuration is valid; with `--instruments`, also test each channel.
 
-    Return exit code 1 if a channel fails this test, else 0.
+    The test applies a known sine to each channel. Return exit code 1 if a channel fails, else 0.
 
     Raises:
         ConfigError: the configuration is invalid.

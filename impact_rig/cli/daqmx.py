@@ -29,8 +29,8 @@ def run_daqmx(arguments: argparse.Namespace) -> int:
     """Run `impact-rig daqmx`: serve the rig to scripts until a signal ends the program, with exit code 0.
 
     Raises:
-        ImpactRigError: an option is invalid or contradicts another, the running rig does not suit or is missing, or the
-            server cannot listen on the address.
+        ImpactRigError: an option is invalid or contradicts another option. The running rig is missing or has unsuitable
+            settings. The server cannot listen on the address.
     """
     from impact_rig.driver import daqmx_board, daqmx_server  # noqa: PLC0415  # load compiled code
 

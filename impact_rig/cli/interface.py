@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command `impact-rig interface`: topics, services and parameters of this version, and changes from another version."""
+"""Command `impact-rig interface`: prints topics, services and parameters of this version, or changes since another."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ Row = dict[str, Any]
 
 
 def run_interface(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig interface`: print the interface of this version, or with `--against` what changed since another.
+    """Run `impact-rig interface`: print the interface of this version, or with `--against` the changes since another.
 
-    Return exit code 1 if a change breaks clients of that other version, else 0.
+    Return exit code 1 if a change breaks clients of the other version, else 0.
     """
     present = read(DOCUMENT)
     if not arguments.against:
@@ -75,9 +75,10 @@ def _show(document: Mapping[str, Any]) -> None:
 def read(path: Path) -> dict[str, Any]:
     """Read an interface document, as written by `impact-rig interface --json`.
 
+    The members of the JSON object are not checked.
+
     Raises:
-        ConfigError: the file cannot be read or does not hold a JSON object; the message names the file. The members of
-            the object are not checked.
+        ConfigError: the file cannot be read or does not hold a JSON object; the message names the file.
     """
     try:
         return {**json.loads(files.read_bytes(path, MAX_BYTES))}
@@ -88,11 +89,11 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Compare two interface documents.
+    """Compare two interface documents, and return the changes.
 
     Args:
         old: document of the version for which a client was written.
-        new: document of the version that the client meets.
+        new: document of the version with which the client is used.
 
     Returns:
         The changes that break such a client, and all other changes, each as one line of text.
@@ -136,10 +137,7 @@ def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
 
 
 def _whole(name: str) -> str | None:
-    """Return `topic T` for the name of a column, `topic T, column C`; None for any other name.
-
-    `differences` uses it to list only the topic, and not each column, if a topic is removed or new.
-    """
+    """Return the topic (`topic T`) of a column with the name `topic T, column C`; None for any other name."""
     topic, column, _ = name.partition(", column ")
     return topic if column else None
 
@@ -149,18 +147,20 @@ def _shown(value: object) -> str:
 
 
 def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
-    """Return a function for `_BREAKS`: whether a changed quality of service breaks clients (OMG DDS 1.4, 2.2.3).
+    """Return a function for `_BREAKS` that says whether a changed quality of service breaks clients.
 
-    DDS connects no subscriber that requests more than its publisher offers. So subscribers of a topic of the rig break
-    if its new value is `less`, and publishers of an input of the rig break if its new value is `more`.
+    DDS does not connect a subscriber that requests more than its publisher offers (OMG DDS 1.4, 2.2.3). Subscribers of
+    a topic of the rig therefore break if the new value is `less`. Publishers of an input of the rig break if it is
+    `more`.
     """
     return lambda _was, now, row: bool(now == (more if row["taken"] else less))
 
 
 def _reaches(sign: float) -> Callable[[Any, Any, Row], bool]:
-    """Return a function for `_BREAKS`: whether a changed bound breaks clients, because the rig accepts fewer values.
+    """Return a function for `_BREAKS` that says whether a changed bound breaks clients.
 
-    Bounds of what the rig publishes never do. None is no bound.
+    A bound of the rig's inputs breaks clients if the rig accepts fewer values. A bound of published values does not.
+    The value None means no bound.
 
     Args:
         sign: +1 for an upper bound, -1 for a lower one.

@@ -65,9 +65,10 @@ def commands() -> dict[str, EntryPoint]:
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
-    """Return the parser of the program with all subcommands or, to start faster, with `command` alone if it is one.
+    """Return the parser of the program with its subcommands.
 
-    If `command` is `--version`, the parser has no subcommands.
+    If `command` is the name of a subcommand, the parser has only this subcommand, which is faster. If `command` is
+    `--version`, the parser has no subcommands. Otherwise it has all of them.
     """
     import argparse  # noqa: PLC0415  # after the signals are taken
 
@@ -127,9 +128,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _encodable(error: UnicodeError) -> tuple[bytes, int]:
     r"""Return bytes for characters that stdout cannot encode, and the index at which encoding continues.
 
-    It is an error handler for `codecs.register_error`.
-
-    Bytes of a file name that is not UTF-8 stay unchanged. Other characters are written as in JSON, `±` as `\u00b1`.
+    This is an error handler for `codecs.register_error`. Bytes of a file name that is not UTF-8 stay unchanged. Other
+    characters are written as in JSON, `±` as `\u00b1`. Errors other than encoding errors are raised again.
     """
     if not isinstance(error, UnicodeEncodeError):
         raise error
@@ -153,7 +153,10 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _complete() -> None:
-    """Answer a shell's request for completions and exit; return if there is none, or argcomplete is not installed."""
+    """Answer a shell's request for completions and exit.
+
+    Return normally if there is no request, or if argcomplete is not installed.
+    """
     try:
         import argcomplete  # noqa: PLC0415  # an extra
     except ImportError:

@@ -40,7 +40,10 @@ WAYS = {
 
 
 def call(function: str, *arguments: object) -> int:
-    """Import the function of a command, given as `module:function`, call it and return its exit code."""
+    """Call the function of a command, given as `module:function`, and return its exit code.
+
+    The module is imported first.
+    """
     code: int = pkgutil.resolve_name(function)(*arguments)
     return code
 
@@ -84,10 +87,10 @@ def add_output(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options `--figures`, the directory of figures (None if not given), and `--format`, their formats.
+    """Add the options `--figures`, the directory of figures, and `--format`, the formats of the figures.
 
-    By default, `--format` selects all formats; the parsed arguments have them as `formats`. `what` is the help text of
-    `--figures`.
+    Without `--figures`, the parsed directory is None. The parsed formats are in the attribute `formats`; the default is
+    all formats. `what` is the help text of `--figures`.
     """
     parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
     parser.add_argument(
@@ -102,7 +105,10 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
-    """Add the argument RUN, a recorded run, with help text `what`, and `--rig`, which selects one of its rigs."""
+    """Add the argument RUN, a recorded run, and the option `--rig`, which selects one rig of the run.
+
+    `what` is the help text of RUN.
+    """
     parser.add_argument("path", type=Path, metavar="RUN", help=what)
     add_recorded_rig(parser)
 
@@ -111,17 +117,17 @@ def add_recorded_rig(
     parser: argparse.ArgumentParser,
     what: str = "namespace of the rig to read from the recording; required if it has several (default: the only one)",
 ) -> None:
-    """Add the option `--rig`, the namespace of one rig of a recording with several rigs, with help text `what`."""
+    """Add the option `--rig`: the namespace of one rig in a recording with several rigs; `what` is its help text."""
     parser.add_argument(RIG_OPTION, dest="rig", metavar="NAMESPACE", help=what)
 
 
 def add_config(parser: argparse.ArgumentParser, what: str = "rig configuration (default: the paper's rig)") -> None:
-    """Add the option `--config`, a configuration file, with help text `what`."""
+    """Add the option `--config`, a configuration file; `what` is its help text."""
     parser.add_argument("--config", type=Path, metavar="FILE", help=what)
 
 
 def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), needs: str = "") -> None:
-    """Add the options that select where a rig runs, and describe one that the command starts.
+    """Add the options that select where a rig runs, and that describe a rig to start.
 
     Args:
         parser: parser of a command. If its user chooses another way than `PROCESS`, the program checks for ROS 2 before
@@ -154,7 +160,9 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
 
 
 def running_namespace(arguments: argparse.Namespace) -> str:
-    """Return the namespace of the running rig that the options of `add_rig` select; empty if the command starts a rig.
+    """Return the namespace of the running rig that the options of `add_rig` select.
+
+    The result is empty if the command starts a rig.
 
     Raises:
         ConfigError: `--namespace` was given, but the command starts a rig.

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parsers of the commands of this package; the module of a command is imported when the command runs."""
+"""Parsers of the commands of this package.
+
+The module of a command is imported only when the command runs.
+"""
 
 from __future__ import annotations
 
@@ -125,7 +128,10 @@ class Analysis(NamedTuple):
 
 
 def analyses() -> Iterator[Analysis]:
-    """Return the analyses that packages, also this one, add to `impact-rig analyze`, each with an option of its own."""
+    """Return the analyses that installed packages, including this one, add to `impact-rig analyze`.
+
+    Each analysis has an option of its own.
+    """
     return (one.load() for one in metadata.entry_points(group=GROUP))
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Quantities on the command line: numbers with a unit, as one type for argparse."""
+"""Parsers of quantities on the command line, which are numbers with a unit."""
 
 from __future__ import annotations
 
@@ -61,14 +61,18 @@ class Quantity:
 
     @classmethod
     def of(cls, field: attrs.Attribute[Any], words: Mapping[str, float] | None = None) -> Quantity:
-        """Return the parser for a field of the configuration, with its unit and range."""
+        """Return the parser for a field of the configuration, with the field's unit and range.
+
+        `words` are the values of special texts, such as 0 for `none`.
+        """
         return cls(fields.info(field), words or {})
 
     def __call__(self, text: str) -> float | str:
         """Return the value of an option's text in the SI unit.
 
         Raises:
-            argparse.ArgumentTypeError: as `parse`; argparse adds the option's name to the message.
+            argparse.ArgumentTypeError: the text is invalid (see `parse`); argparse adds the option's name to the
+                message.
         """
         try:
             return self.parse(text)
@@ -76,10 +80,10 @@ class Quantity:
             raise argparse.ArgumentTypeError(str(error)) from error
 
     def parse(self, text: str) -> float | str:
-        """Return the value of `text` in the SI unit, or that of a word in `words`.
+        """Return the value of `text` in the SI unit, or the value of a word in `words`.
 
-        `6mm` gives exactly the number 0.006. Only a length needs its unit. With `names`, any other text is returned
-        unchanged, as the name of a signal, also a number with a unit that is not allowed.
+        `6mm` gives exactly the number 0.006. Only a length needs its unit. If `names` is true, any other text is
+        returned unchanged, as the name of a signal. This includes a number with a unit that is not allowed.
 
         Raises:
             ConfigError: the text is neither a word nor a number in the allowed range, or its unit is missing or not
@@ -107,7 +111,9 @@ class Quantity:
         return value
 
     def number(self, text: str) -> float:
-        """Return the same as `parse`, for a parser that accepts no names of signals (`names` is false).
+        """Return the value of `text` like `parse`, but always as a number.
+
+        `names` must be false, so that the parser accepts no names of signals.
 
         Raises:
             ConfigError: as `parse`.
@@ -133,9 +139,10 @@ def positive(unit: str) -> Quantity:
 def add_field(
     parser: argparse.ArgumentParser, field: attrs.Attribute[Any], metavar: str | None = None, option: str = ""
 ) -> None:
-    """Add an option that sets a field of a configuration or plan; default, unit, range and help come from the field.
+    """Add an option that sets a field of a configuration or plan.
 
-    The parser does not check the range of an integer; the configuration or plan does.
+    Default, unit, range and help text come from the field. The parser does not check the range of an integer; the
+    configuration or plan does.
 
     Args:
         parser: parser of a command.

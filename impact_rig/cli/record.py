@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command `impact-rig record`: one recorded run at one frequency and current, with its transmissibility."""
+"""Command `impact-rig record`: records one run at one frequency and current, and measures its transmissibility."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def run_record(arguments: argparse.Namespace) -> int:
     Return exit code 1 if the run ended early or DT was not measured, else 0.
 
     Raises:
-        KeyboardInterrupt: the run was interrupted; what it measured so far was printed.
-        ImpactRigError: the options are invalid, nothing was recorded, or the rig is gone or cannot continue; no DT was
-            printed. If something was recorded, its directory was printed to stderr.
+        KeyboardInterrupt: the run was interrupted. The results so far have been printed.
+        ImpactRigError: the options are invalid, nothing was recorded, or the rig is gone or cannot continue. No DT was
+            printed. The directory of an incomplete recording was printed to stderr.
     """
     namespace = running_namespace(arguments)
     config, gap_m = _config(arguments)
@@ -95,10 +95,10 @@ def run_record(arguments: argparse.Namespace) -> int:
 
 
 def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the configuration of the rig to start, and its gap [m], 0 without a sphere.
+    """Return the configuration of the rig to start, and its gap [m] (0 without a sphere).
 
-    A frequency or current that is not given is set to its default in `arguments`. For a running rig, nothing is set: it
-    keeps its configuration, and a frequency or current that is not given. The returned values then have no meaning.
+    A frequency or current that is not given is set to its default in `arguments`. For a running rig, `arguments` stays
+    unchanged, and the returned values have no meaning.
 
     Raises:
         ConfigError: the file or an option is invalid, an option does not apply to a running rig, or the drive of the
@@ -155,12 +155,12 @@ def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, direc
 
 @attrs.frozen(eq=False)
 class RunMeasurements:
-    """Measurements of a recorded run, found by analysing it again.
+    """Measurements of a recorded run, found by a new analysis of the recording.
 
     Attributes:
         everything: all rows of `transmissibility/table`.
-        rows: those of them that are settled and have an uncertainty of DT, at the frequency and gap of the last such
-            row; empty if there is none.
+        rows: the settled rows with an uncertainty of DT, at the frequency and gap of the last such row. It is empty
+            without such rows.
         budget: mean DT of `rows` with its uncertainty; None without rows.
     """
 

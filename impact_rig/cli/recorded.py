@@ -34,7 +34,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     Return exit code 1 if the run is damaged or known to be incomplete, else 0.
 
     Raises:
-        RecordingError: the run cannot be read; the exit code of the program is then 1, too.
+        RecordingError: the run cannot be read.
     """
     found = info(arguments.path)
     if arguments.json:
@@ -92,8 +92,8 @@ def _info_content(found: RunInfo) -> dict[str, object]:
 def run_verify(arguments: argparse.Namespace) -> int:
     """Run `impact-rig verify`: simulate a run again from its journal, and print whether every bit is the same.
 
-    Return exit code 1 if a bit of a recorded topic of the rig differs, the recording was changed, or the run is not
-    verifiable, for the printed reason; else 0.
+    Return exit code 0 if every recorded topic of the rig is identical. Return 1 if a bit differs, the recording was
+    changed, or the run is not verifiable, for the printed reason.
 
     Raises:
         RecordingError: the run cannot be read, has no scans, or has several rigs of which none was chosen.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Selections by the options of a command that drives a rig: configuration, where it runs, directory of the run."""
+"""Evaluation of the options of a command that drives a rig: rig configuration, where the rig runs, run directory."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 
 def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the configuration of the rig that the options of `add_rig` describe, and its gap [m], 0 without a sphere.
+    """Return the configuration of the rig that the options of `add_rig` describe, and its gap [m] (0 without a sphere).
 
-    With `--through running`, it is the default configuration, which says nothing about the running rig.
+    With `--through running`, the result is the default configuration, which does not describe the running rig.
 
     Raises:
         ConfigError: the file or an option is invalid, or an option would change a running rig.
@@ -51,11 +51,11 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
 
 
 def refuse_for_running(arguments: argparse.Namespace, *names: str) -> None:
-    """Raise an error if one of these options, which describe a rig to start, is given for a running rig.
+    """Raise an error if an option that describes a rig to start is given for a running rig.
 
     Args:
         arguments: parsed arguments, including those of `add_rig`.
-        names: names of the options in `arguments`, such as `sphere_start` for `--sphere-start`.
+        names: names of these options in `arguments`, such as `sphere_start` for `--sphere-start`.
 
     Raises:
         ConfigError: one of the options was given with `--through running`.
@@ -75,12 +75,12 @@ def open_rig(
     required: Mapping[str, Any],
     analysis: Mapping[str, Any] | None = None,
 ) -> RigDriver:
-    """Return the rig that `--through` selects, with a recording into a directory.
+    """Return a driver of the rig that `--through` selects, which records into a directory.
 
     Args:
         arguments: parsed arguments, including those of `add_rig`.
-        config: configuration of a rig to start. In ROS nodes, it runs as fast as recorder, analysis and this program
-            follow.
+        config: configuration of a rig to start. In ROS nodes, the rig runs as fast as recorder, analysis and this
+            program follow.
         record: directory of the run.
         required: configuration values that a running rig must have; with other values it is rejected.
         analysis: parameters of an analysis to start together with the rig; None means no analysis. Not used for a
@@ -105,12 +105,12 @@ def open_rig(
 
 
 def run_directory(wanted: Path | None, what: str) -> Path:
-    """Return the directory of a new run: the requested one, or a new one in `runs/` named after `what` and the time.
+    """Return the directory of a new run: `wanted`, or a new path in `runs/` named after `what` and the time.
 
     The directory is not created.
 
     Raises:
-        ImpactRigError: it exists and is a file or not empty.
+        ImpactRigError: the path exists and is a file, or a directory that is not empty.
     """
     directory = (wanted or free_path(Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S"))).resolve()
     if directory.exists() and not directory.is_dir():

@@ -13,9 +13,8 @@
 # limitations under the License.
 """Output of text, tables, progress and JSON to the terminal, used by all commands.
 
-No part of a text is interpreted as markup, emoji or control character, because names of files and topics and texts of
-recordings and campaigns may contain anything. Colours are set by `style`, never inside a text. `NO_COLOR` in the
-environment switches all colours off.
+No part of a text is interpreted as markup, emoji or control character, because names and recorded texts may contain
+anything. Colours are set by `style`, never inside a text. `NO_COLOR` in the environment switches all colours off.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ class Console(rich_console.Console):
         super().__init__(markup=False, emoji=False, highlight=False, quiet=quiet, stderr=stderr)
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print objects as rich does, but never crop a `TextTable`: it keeps all digits, and the terminal wraps it."""
+        """Print objects as rich does, but never crop a `TextTable`: the terminal wraps lines that are too wide."""
         whole = {"crop": False} if any(isinstance(one, TextTable) for one in objects) else {}
         super().print(*objects, **{**whole, **options})
 
@@ -81,8 +80,8 @@ class Console(rich_console.Console):
 class TextTable(rich_table.Table):
     """Table for a terminal of 80 columns, with units below their names.
 
-    Texts may be wrapped, but numbers and units are never truncated. The columns are first those with texts (`left`),
-    then right-aligned numbers (`right`), then further texts (`last`).
+    Texts may be wrapped, but numbers and units are never truncated. The arguments `left`, `right` and `last` are
+    headings of columns, in this order: texts, right-aligned numbers, further texts.
     """
 
     def __init__(
@@ -101,7 +100,7 @@ class TextTable(rich_table.Table):
                 self.add_column(heading, justify=side)
 
     def add_column(self, header: Any = "", *arguments: Any, **options: Any) -> None:
-        """Add a column; right-aligned columns keep their width, others are wrapped if the line is full."""
+        """Add a column; a right-aligned column keeps its width, and any other column is wrapped if the line is full."""
         flush = options.get("justify") == "right"
         lines = [visible(line) for line in str(header).replace(" [", "\n[").split("\n")]
         if flush and max(map(len, lines)) > LONGEST_HEADING:
@@ -113,7 +112,10 @@ class TextTable(rich_table.Table):
     def __rich_console__(
         self, console: rich_console.Console, options: rich_console.ConsoleOptions
     ) -> rich_console.RenderResult:
-        """Draw the table: on a narrow terminal it stays as wide as its numbers and words of up to 12 letters need."""
+        """Draw the table at least as wide as its numbers, and its words of up to 12 letters, need.
+
+        On a narrow terminal, the table is then wider than the terminal.
+        """
         for column in self.columns:
             if column.no_wrap:  # Rich would cut off the end of a cell that is wider than its column
                 longest = max((len(str(cell)) for cell in column.cells), default=0)
@@ -151,9 +153,9 @@ class Steps:
         self._what, self._total, self._shown = what, total, -1
 
     def show(self, done: int, state: str) -> None:
-        """Print a line with the number of finished items and a state, if more are finished than at the last line.
+        """Print a line with the number of finished items and the present state, if the number has increased.
 
-        Of many items, only 50 to 100 get a line.
+        Of many items, only every n-th gets a line, so that there are at most about 100 lines.
         """
         every = max(1, self._total // LINES)
         if done // every > self._shown // every or done == self._total > self._shown:
@@ -163,7 +165,10 @@ class Steps:
 
 
 class Counted(Progress):
-    """Display of the progress of counted items, which `show` reports: a bar on a terminal, otherwise some lines."""
+    """Progress display of counted items: a bar on a terminal, otherwise some lines.
+
+    Call `show` to report the progress.
+    """
 
     def __init__(self, console: Console, what: str, total: int) -> None:
         columns = (
@@ -193,7 +198,7 @@ class Counted(Progress):
 
 
 def counted(words: Iterable[bytes]) -> str:
-    """Return how often each of some words occurs, in alphabetical order of the words, as in `2 silence, 1 spikes`."""
+    """Return how often each word occurs, in alphabetical order of the words, such as `2 silence, 1 spikes`."""
     return ", ".join(f"{count} {word.decode()}" for word, count in sorted(Counter(words).items()))
 
 
@@ -205,7 +210,7 @@ def tell_json(content: object) -> None:
 
 
 def tell_results(directory: Path, content: Mapping[str, object], *, as_json: bool) -> None:
-    """Print only the directory of the results, as the last line, or with `as_json` the results with it as JSON."""
+    """Print the directory of the results as the last line, or with `as_json` the results and the directory as JSON."""
     if as_json:
         tell_json({"directory": str(directory), **content})
     else:

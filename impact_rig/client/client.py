@@ -67,8 +67,7 @@ class Received:
         sequence: DDS publication sequence number; each publisher numbers its messages without gaps.
         received_system_ns: system time at which the callback ran [ns since 1970]; comparable with stamps of a rig in
             real time.
-        table: decoded table; None on a topic without tables, and on a topic of `listen`, whose tables are decoded only
-            by `Collector.tables`.
+        table: decoded table; None on a topic without tables, and for a message of `Client.listen`.
     """
 
     data: Any
@@ -78,10 +77,10 @@ class Received:
 
 
 class Collector:
-    """Store of all messages received on one topic, without limit, until `clear`.
+    """Store of the messages received on one topic, without limit, until `clear`.
 
-    Messages that are not valid tables of the topic are counted (`refused`) and dropped; on a topic of `listen`, they
-    are kept.
+    A message that is not a valid table of the topic is dropped and counted in `refused`. A collector of `Client.listen`
+    keeps such messages.
 
     Args:
         topic: the topic.
@@ -99,7 +98,7 @@ class Collector:
         return len(self.received)
 
     def take(self, data: Any, info: dict[str, Any]) -> None:
-        """Keep one message with its decoded table, or count an invalid one (`refused`): the subscription's callback."""
+        """Keep one received message with its decoded table; drop an invalid table and count it in `refused`."""
         table = None
         if self.topic.columns is not None:
             try:
@@ -113,10 +112,7 @@ class Collector:
             on_message(message)
 
     def then(self, on_message: Callable[[Received], None]) -> None:
-        """Call `on_message`, too, with each message that arrives and is kept from now on, as `Received`.
-
-        Functions given earlier are still called.
-        """
+        """Register a further function that is called with each message kept from now on, as `Received`."""
         self._on_message.append(on_message)
 
     @property
@@ -141,9 +137,10 @@ class Collector:
         return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
-        """Return the rows of all tables kept, one after the other; shape (n,), with n = 0 if none is kept.
+        """Return the rows of all kept tables, joined to one array of shape (n,).
 
-        On a topic of `listen`, the columns are unknown without a table: it then raises an AssertionError.
+        If no table is kept, the array is empty. A collector of `Client.listen` then raises an AssertionError instead,
+        because it does not know the columns.
         """
         parts = [table.rows for table in self.tables()]
         assert parts or self.topic.columns is not None, (
@@ -181,20 +178,19 @@ Check = Callable[[], None]  # raises an error if the wait has become pointless
 
 
 def patiently() -> None:
-    """Do nothing: the default `Check` of a wait, which considers no wait pointless."""
+    """Do nothing. This is the default `Check` of a wait, which never ends the wait early."""
 
 
 class RigGoneError(GoneError):
-    """Loss of the rig that a client waits for: it ended, was replaced by another one, or reports its state no more."""
+    """Loss of the rig that a client waits for: the rig ended, was replaced, or no longer reports its state."""
 
 
 class AddressedActivation:
-    """Record of which activation of a rig a client addresses, so that a wait ends when that activation is over.
+    """Record of which activation of a rig a client addresses.
 
-    Each activation of a rig reports its own identifier (`instance`) in diagnostics. A command belongs to the activation
-    that receives it. Before you wait for the effect of a command, call `given`. The check that it returns raises a
-    `RigGoneError` once that activation has been replaced, or once the rig, having reported before, is silent for
-    two seconds.
+    Each activation of a rig reports its own identifier (`instance`) in diagnostics. Call `given` before you wait for
+    the effect of a command. The returned check raises a `RigGoneError` if another activation has replaced the one that
+    received the command. It also raises if the rig, after its first report, is silent for two seconds.
 
     Args:
         clock: monotonic clock [s].
@@ -209,7 +205,7 @@ class AddressedActivation:
 
     @property
     def is_overdue(self) -> bool:
-        """Return whether no report has arrived for more than a second; False before any report or call of `changed`."""
+        """Return whether no report has arrived for over a second; False before any report or call of `changed`."""
         return self._is_there and self._clock() - self._reported_at > DIAGNOSTICS_PERIOD_S
 
     @property
@@ -218,10 +214,9 @@ class AddressedActivation:
         return self._clock() - self._changed_at <= DELIVERY_S
 
     def heard(self, instance: str) -> None:
-        """Register that a rig has just reported its state, with this identifier of its activation.
+        """Register that a rig has just reported its state, with the identifier of its activation.
 
-        A report of the previous activation that arrives up to 50 ms after `changed` does not count as one of a new
-        activation.
+        A late report of the previous activation, up to 50 ms after `changed`, does not count as a new activation.
         """
         self._identify()
         self._reported_at = self._clock()
@@ -240,15 +235,15 @@ class AddressedActivation:
         self._is_there, self._is_gone = True, False
 
     def _identify(self) -> None:
-        """Address the previous activation again if it alone has reported since `changed`: no new one has started."""
+        """Address the previous activation again if only that activation has reported since `changed`."""
         if not self._first and not self._is_changing and self._reported_at >= self._changed_at:
             self._instance = self._first = self._previous
 
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
         """Return a check that raises `RigGoneError` once the activation that is addressed now is over.
 
-        It is over if another activation has reported, or if no report has arrived for `silence_s` seconds since this
-        call. Before any report, the first activation that reports is addressed, and silence counts only after a call
+        The activation is over if another activation has reported, or if no report arrives for `silence_s` seconds.
+        Before any report, the check addresses the first activation that reports, and silence counts only after a call
         of `changed`.
 
         Args:
@@ -278,16 +273,16 @@ class AddressedActivation:
 
 
 class Spinner:
-    """Execution of an executor's callbacks in the caller's thread, with a clock for the time limits of waits."""
+    """Runner of an executor's callbacks in the caller's thread, with a clock for the time limits of waits."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return the time [s] of a monotonic clock for time limits, which stops during long callbacks.
+        """Return the time [s] of a monotonic clock that stops during long callbacks.
 
-        A callback may compile code. The clock runs for at most `longest_s` seconds in each call of `spin`.
+        In each call of `spin`, the clock advances by at most `longest_s` seconds.
         """
         return time.monotonic() - self._working_s
 
@@ -325,22 +320,22 @@ class ServiceFailedError(ImpactRigError, RuntimeError):
 class Client:
     """ROS node that acts as the user of a rig: it commands, calls services, sets parameters and receives topics.
 
-    It receives messages only while it waits. Every wait has a time limit, and ends with a `GoneError` if a watched
-    node process ends. `Client(namespace="/rig")` connects to a rig that runs elsewhere in this ROS domain. Used as a
-    context manager, it calls `close` at the end. It needs ROS 2.
+    It receives messages only while it waits. Every wait has a time limit. A wait also ends with a `GoneError` if a
+    watched node process ends. `Client(namespace="/rig")` connects to a rig that runs elsewhere in this ROS domain. Used
+    as a context manager, it calls `close` at the end. It needs ROS 2.
 
     Args:
-        domain_id: ROS domain of the rig; None means that of this process, `ROS_DOMAIN_ID`.
+        domain_id: ROS domain of the rig; None means the value of `ROS_DOMAIN_ID`.
         namespace: namespace of the rig's nodes; topics and node names below are relative to it.
         processes: node processes to watch during every wait.
-        name: name of this node, and the name in the acknowledgements that it sends.
+        name: name of this node, also in the acknowledgements that it sends.
         commands: whether `command` will be called; the client then keeps all changes of the drive that the rig applies.
 
     Attributes:
         node: the `rclpy` node.
         applied: changes of the drive that the rig has applied, if `commands` is true.
         diagnostics: latest diagnostics of each node, by name.
-        reported_ns: stamp of these diagnostics [ns]; of a rig, that of its next block.
+        reported_ns: stamp of the latest diagnostics of each node, by name [ns]; for a rig, the stamp of its next block.
 
     Examples:
         >>> import impact_rig
@@ -454,8 +449,8 @@ class Client:
         Args:
             what: what the rig was asked to do, for the message.
             rig: node name of the rig, relative to the namespace.
-            may_be_silent: whether the rig may be busy without a report until the wait ends, as when it compiles a new
-                contact law. The check then raises only if another rig has reported.
+            may_be_silent: whether the rig may send no report during the wait, for example while it compiles a contact
+                law. The check then raises only if another rig has reported.
 
         Raises:
             GoneError: the rig was silent for over a second before this call, and is gone or has been replaced.
@@ -506,7 +501,10 @@ class Client:
             self._address(node)
 
     def _address(self, node: str) -> None:
-        """Register by `changed` that a transition of the rig `node` ended, even if it failed; ignore other nodes."""
+        """Register that a lifecycle transition of a rig has ended, so that the next activation is addressed.
+
+        The call ignores a node that is not known as a rig.
+        """
         if node in self._rigs:
             received = self.executor.create_task(lambda: None)  # runs after everything received so far
             self.wait_until(received.done, "the executor")
@@ -514,10 +512,11 @@ class Client:
             self._matched.clear()
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Create a node in this process, and run it in this client's executor, ROS context and namespace.
+        """Create a node in this process, and run it in this client's executor.
 
-        No thread is started: the node works only while the client waits. If `make_node` has no parameter `**kwargs`
-        for the arguments of `Node`, the node gets the context as rclpy's default one, and no namespace.
+        The node works only while the client waits. If `make_node` accepts `**kwargs`, it gets this client's ROS context
+        and namespace as arguments. Otherwise, the context is rclpy's default one during the call, and the node has no
+        namespace.
 
         Args:
             make_node: class or function that creates the node.
@@ -546,16 +545,16 @@ class Client:
         node.destroy_node()
 
     def acknowledge_callbacks(self, node: Any) -> int:
-        """Acknowledge every block of daq/scan on behalf of a hosted node, once its callback has returned or raised.
+        """Make the client acknowledge each block of daq/scan for a hosted node, after the node's callback.
 
-        A node with several subscriptions to it acknowledges after each callback, so the rig does not wait for the
-        second one. The node itself needs no knowledge of daq/ack.
+        The node itself needs no knowledge of daq/ack. If the node has several subscriptions to daq/scan, the first
+        callback already acknowledges the block.
 
         Args:
             node: a node from `host`.
 
         Returns:
-            Number of the node's present subscriptions to daq/scan; later ones are not acknowledged.
+            Number of the node's present subscriptions to daq/scan; later subscriptions are not acknowledged.
         """
         name = self.node.resolve_topic_name(topics.SCAN.name)
         found = [subscription for subscription in node.subscriptions if subscription.topic_name == name]
@@ -578,8 +577,8 @@ class Client:
             timeout_s: time limit for each step of the exchange with the rig [s].
 
         Returns:
-            Row of shaker/applied that the command caused (the current's if both values are given); its `sample` is the
-            number of the first scan that the command acts on.
+            Row of shaker/applied for the command; if both values are given, the row for the current. Its `sample` is
+            the number of the first scan that the command acts on.
 
         Raises:
             CommandError: both values are None, or the rig rejected the command; then the message is that of the rig. If
@@ -611,10 +610,10 @@ class Client:
         return row
 
     def refusal(self, *reasons: str) -> Callable[[], str]:
-        """Return a function that returns "" until the rig rejects an input after this call, and then its message.
+        """Return a function that returns the rig's message once the rig has rejected an input, and "" before.
 
-        A rig reports rejections in its diagnostics, within a second, without naming the sender. Rejected inputs of
-        other senders therefore count, too.
+        Only rejections after this call count. The rig reports them in its diagnostics without naming the sender, so
+        rejected inputs of other senders count, too.
 
         Args:
             reasons: keys under which the rig counts the rejections of interest: the name of a topic, or `inactive`.
@@ -645,13 +644,14 @@ class Client:
     ) -> None:
         """Publish a message as soon as the publisher is connected with all subscribers that the ROS graph lists.
 
-        Later calls for the same topic publish at once, until this client has changed the state of the rig.
+        There must be at least one subscriber. Later calls for the same topic publish at once, until this client has
+        changed the state of the rig.
 
         Args:
             topic: entry of `impact_rig.topics`.
             message: the message, or its CDR bytes.
             timeout_s: longest wait for the subscribers [s].
-            listener: name of a node that must be among them; None for any. There must be at least one subscriber.
+            listener: name of a node that must be among the subscribers; None for any.
             check: raises an error if the wait has become pointless, see `given`.
 
         Raises:
@@ -700,8 +700,8 @@ class Client:
     def pause(self, paused: bool = True) -> None:
         """Pause the rig, or resume it.
 
-        A pause returns when every peer has acknowledged all published blocks, or is silent: it has acknowledged none
-        for `time.peer_timeout_s`.
+        A pause returns when every peer has acknowledged all published blocks. It does not wait for a silent peer, which
+        has acknowledged nothing for `time.peer_timeout_s`.
 
         Args:
             paused: whether to pause; False resumes.
@@ -906,9 +906,8 @@ class Client:
     ) -> Collector:
         """Subscribe to any topic, such as an output of the pipeline under test, and keep all its messages.
 
-        Message type and reliability are those of the topic's first publisher. `tables()` decodes the messages of a
-        topic with tables; unlike in `collect`, invalid ones are kept, and then raise a CodecError. Messages published
-        before the call are not received, not even latched ones (`transient_local`).
+        Message type and reliability are those of the topic's first publisher. Messages published before the call are
+        not received. Unlike in `collect`, invalid tables are kept: `tables()` raises a CodecError for them.
 
         Args:
             name: topic name, relative to the namespace or absolute.
@@ -930,11 +929,11 @@ class Client:
         return collector
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
-        """Acknowledge all blocks of daq/scan up to one, on behalf of a node that does not do so itself.
+        """Acknowledge blocks of daq/scan on behalf of another node, up to the block with a given stamp.
 
         Args:
             peer: name of the node, as in the rig's parameter `time.peers`.
-            stamp_ns: stamp of the last of these blocks [ns].
+            stamp_ns: stamp of the last block to acknowledge [ns].
         """
         if peer not in self._acknowledgements:
             self._acknowledgements[peer] = Template(Header(frame_id=peer))
@@ -969,10 +968,10 @@ class Client:
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
-        """Wait until a publisher is connected with the subscribers of its topic, as `has_subscribers` defines it.
+        """Wait until a publisher is connected with all subscribers of its topic, at least one.
 
-        `publish` describes the arguments and errors. A publisher that was connected once is not checked again, not even
-        for another `listener`, until this client has changed the state of the rig.
+        The node `listener`, if given, must be among them. A publisher that was connected once is not checked again,
+        until this client changes the state of the rig.
         """
         if publisher not in self._matched:
             matched = functools.partial(has_subscribers, self.node, publisher, listener)
@@ -980,9 +979,9 @@ class Client:
             self._matched.add(publisher)
 
     def _receive_applied(self) -> None:
-        """Receive the changes of the drive applied before this client started, so that none is taken for a new one.
+        """Wait at most 1 s for the changes of the drive that were applied before this client started.
 
-        It waits at most 1 s, because a rig that has not started has applied none.
+        Otherwise, an old change could be mistaken for the effect of a new command.
         """
         deadline = time.monotonic() + HISTORY_S
         while not self._knows_past and time.monotonic() < deadline:
@@ -1023,9 +1022,9 @@ class Client:
                 )
 
     def _troubles(self) -> str:
-        """Return possible causes of a timeout, in parentheses: messages of unhealthy nodes, or that no node reports.
+        """Return possible causes of a timeout in parentheses, for the end of an error message.
 
-        The text is empty if all nodes are healthy.
+        The text lists the messages of unhealthy nodes, or says that no node has reported; otherwise it is empty.
         """
         if not self.diagnostics:
             return f" (no node has reported in ROS domain {self.domain_id})"
@@ -1053,7 +1052,7 @@ def subscribers(node: Node, topic: str) -> set[str]:
 
 
 def has_subscribers(node: Node, publisher: Any, listener: str | None) -> bool:
-    """Return whether a publisher is connected with every subscriber that the ROS graph lists, at least one.
+    """Return whether a publisher is connected with all subscribers that the ROS graph lists; False without subscribers.
 
     Args:
         node: node of the publisher.

@@ -11,11 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Node processes: started in their own process groups, watched, and ended with time to clean up.
+"""Management of node processes: start, supervision and orderly end.
 
-If one ends unexpectedly, the error quotes the last lines of its log. This module needs no rclpy; the processes run the
-real programs of the nodes. In an isolated domain (`isolated_domain`), no other node on this machine or network can
-interfere.
+Each process has its own process group, and gets time to clean up. If a process ends unexpectedly, the error quotes the
+last lines of its log. `isolated_domain` reserves a ROS domain without other nodes. This module needs no rclpy.
 """
 
 from __future__ import annotations
@@ -85,7 +84,10 @@ class NodeProcess:
         return "\n".join(f"    {line}" for line in lines) or "    (no output)"
 
     def signal(self, number: int) -> None:
-        """Send a signal to the process and its children, also to those that outlive it; no effect if all have ended."""
+        """Send a signal to the process and its children, even if only children still run.
+
+        If all have ended, the call has no effect.
+        """
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, number)
 
@@ -137,7 +139,8 @@ class Processes:
         """Start one node as a process, and return without waiting until it is active.
 
         Args:
-            node: one of `NODES`, or the name of a module to run; with `command`, only the default of `name`.
+            node: one of `NODES`, or the name of a Python module to run. With `command`, it is only the default of
+                `name`.
             parameters: ROS parameters, `section.key` -> value; they override the file.
             name: node name (default: `node`). The output is appended to `NAME.log`.
             parameters_file: ROS 2 parameter file.
@@ -186,13 +189,13 @@ class Processes:
                 raise ProcessDiedError(f"the {process.name} process {how}; its last lines:\n{process.last_words()}")
 
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
-        """End the named processes, or all of them without names, and return their exit codes by name.
+        """End the named processes, or all processes if no name is given; return their exit codes by name.
 
-        Each gets SIGINT. One that still runs gets SIGTERM after `timeout_s` seconds, and SIGKILL 2 s later. A process
-        that a signal has ended has the negative number of the signal as its code.
+        Each process gets SIGINT. A process that still runs after `timeout_s` seconds gets SIGTERM, and 2 s later
+        SIGKILL. The exit code of a process that a signal has ended is the negative number of the signal.
 
         Raises:
-            KeyError: there is no process of a given name; none is ended then.
+            KeyError: there is no process of a given name; no process is ended then.
         """
         with defer_signals():
             chosen = [self.running[name] for name in names or tuple(self.running)]
@@ -271,12 +274,10 @@ def domain_of_environment() -> int:
 
 @contextmanager
 def isolated_domain() -> Iterator[int]:
-    """Reserve a ROS domain that is not in use until the end of the `with` statement, and yield its id.
+    """Reserve an unused ROS domain for the duration of a `with` statement, and yield its id.
 
-    Two programs of one user never get the same id from here, because each locks a file while it uses one. A domain in
-    which any process of this machine takes part is skipped; a program that selects it later by ROS_DOMAIN_ID is not
-    kept out.
-    Within the statement, discovery of this process and its children is limited to this machine.
+    Two programs of one user never get the same id. Another program can still select the reserved domain by
+    ROS_DOMAIN_ID. Within the statement, discovery of this process and its children is limited to this machine.
 
     Raises:
         ImpactRigError: all ids (1 to 49) are in use, or no lock file can be created.
@@ -332,10 +333,10 @@ def is_in_use(domain_id: int) -> bool:
 
 
 def remove_litter(domain_id: int) -> None:
-    """Remove the shared-memory ports of Fast DDS that killed processes left in a domain, as `fastdds shm clean` does.
+    """Remove the shared-memory ports of Fast DDS that killed processes left in a domain.
 
-    A process that finds a half-written port may crash (https://github.com/eProsima/Fast-DDS/issues/6501). A port in use
-    is locked and stays. A port that is just being created is not locked yet, so call this only in an isolated domain.
+    A process that finds a half-written port may crash (https://github.com/eProsima/Fast-DDS/issues/6501). Ports in use
+    stay. Call this only in an isolated domain, because a port that is just being created looks unused.
     """
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for name, number in itertools.product(segments.PORTS, range(first, first + PORTS_PER_DOMAIN)):

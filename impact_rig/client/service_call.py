@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Service call in progress, whose request is sent again every 2 s if a second one does no harm.
+"""Service call that repeats a harmless request every 2 s until its response arrives.
 
 On a busy machine, DDS loses the answer to a client that the server has not discovered within 100 ms.
 """
@@ -43,14 +43,14 @@ REPEATABLE = (
 class ServiceCall:
     """Service call in progress: a request that has been sent, and its response.
 
-    Creating the object sends the request; then spin the node of `client`, and call `response` until it returns the
-    response. Leaving the context manager ends the call; a response that arrives later is ignored.
+    Creating the object sends the request. Then spin the node of `client`, and call `response` until it returns the
+    response. Leaving the context manager ends the call. A response that arrives later is ignored.
 
     Args:
         client: client of the service, which must be ready.
         request: the request.
-        repeatable: whether to send the request again every 2 s (`AGAIN_S`) until a response arrives; always so for the
-            types in `REPEATABLE`.
+        repeatable: whether to send the request again every 2 s (`AGAIN_S`) until a response arrives. Requests of the
+            types in `REPEATABLE` are always sent again.
     """
 
     def __init__(self, client: ServiceClient, request: Any, *, repeatable: bool = False) -> None:
@@ -67,7 +67,7 @@ class ServiceCall:
             self._client.remove_pending_request(future)
 
     def response(self) -> Any:
-        """Return the response, or None if none has arrived; send a repeatable request again if 2 s have passed."""
+        """Return the response, or None before it arrives; a repeatable request is sent again after 2 s."""
         for future in self._sent:
             if future.done():
                 return future.result()

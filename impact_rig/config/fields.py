@@ -120,7 +120,10 @@ class FieldInfo:
 
 
 def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
-    """Return the description of a configuration value from its attrs attribute, made by a function of this module."""
+    """Return the description of a configuration value from its attrs attribute.
+
+    The attribute must be made by a function of this module, such as `quantity`.
+    """
     found = attribute.metadata[METADATA_KEY]
     assert isinstance(found, FieldInfo)
     return found
@@ -188,9 +191,9 @@ def _check_floats(_instance: object, attribute: attrs.Attribute[Any], value: obj
 
 
 def _to_float(value: object) -> object:
-    """Return a float for an integer or a text with an exponent; other values unchanged, for the validator to check.
+    """Convert an integer, or a text such as `8e-06`, to a float; return other values unchanged.
 
-    Users write 6 for 6.0. They and `ros2 param load` write 8e-06, which YAML 1.1 reads as text because it has no point.
+    Users write 6 for 6.0. YAML 1.1 reads 8e-06 as text because it has no point. The validator checks the result.
     """
     if isinstance(value, str) and _EXPONENT_FORM.fullmatch(value):
         return float(value)
@@ -205,9 +208,9 @@ def _to_word(meant: Mapping[tuple[type, object], str], value: object) -> object:
 
 
 def _list_to_names(value: object) -> object:
-    """Return a list of texts as a tuple without empty texts, because ROS writes an empty list as `[""]`.
+    """Return a list of texts as a tuple without empty texts; return other values unchanged.
 
-    Line ends within a text become blanks. A value that is not a list is returned unchanged, for the validator to check.
+    ROS writes an empty list as `[""]`. Line ends within a text become blanks.
     """
     if not isinstance(value, (list, tuple)):
         return value
@@ -240,9 +243,8 @@ def quantity(
 ) -> Any:
     """Return the attrs field of a finite float with unit and range.
 
-    `above` and `below` are bounds that the value must not reach, `at_least` and `at_most` those that it may reach.
-    In any case, a value other than 0 must have a magnitude from `LEAST` to `MOST`. A `read_only` value cannot change
-    after the start of the rig.
+    The bounds `above` and `below` are exclusive, `at_least` and `at_most` inclusive. In addition, a value other than 0
+    must have a magnitude from `LEAST` to `MOST`. A `read_only` value cannot change after the start of the rig.
     """
     about = FieldInfo(
         doc,
@@ -274,7 +276,10 @@ def integer(
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
-    """Return the attrs field of an integer of magnitude below 2**64 with a unit; it may be equal to its bounds."""
+    """Return the attrs field of an integer with a unit.
+
+    The bounds `at_least` and `at_most` are inclusive. The magnitude must be below 2**64.
+    """
     about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
     return _field(default, about, _check_int)
 
@@ -289,11 +294,11 @@ def choice(
     switched: Mapping[bool, str] | None = None,
     formerly: Mapping[str, str] | None = None,
 ) -> Any:
-    """Return the attrs field of a word out of `choices`; none of them may be a word that YAML reads as another type.
+    """Return the attrs field of a word out of `choices`.
 
-    This requirement is not checked. `switched` maps true and false to words of `choices`, for which these values are
-    then accepted, and also `on` and `off`, which YAML reads as true and false. `formerly` maps words of an earlier
-    version, which recordings contain, to their present names.
+    `switched` maps true and false to words of `choices`. The field then also accepts true, false, `on` and `off`.
+    `formerly` maps words of an earlier version, which recordings contain, to their present names. `choices` must not
+    contain a word that YAML reads as another type, such as `on`; this is not checked.
     """
     meant: dict[tuple[type, object], str] = {(str, word): now for word, now in (formerly or {}).items()}
     for state, word in (switched or {}).items():

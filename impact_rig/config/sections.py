@@ -124,7 +124,7 @@ DRIVE_UNITS: Mapping[str, str] = {"current": "A", "prescribed": "m", "voltage": 
 
 @attrs.frozen(kw_only=True)
 class Drive:
-    """Drive of the inferior base: coil current, base motion or voltage; its waveform, and the command at the start."""
+    """Drive of the inferior base: quantity (coil current, base motion or voltage), waveform and first command."""
 
     kind: str = choice(
         "current",
@@ -242,9 +242,10 @@ class Daq:
 
 @attrs.frozen(kw_only=True)
 class Time:
-    """Pace of rig time, and the nodes (peers) that it waits for.
+    """Pace of rig time, and the nodes (peers) that the rig waits for.
 
-    It waits for their acknowledgements of each block or, in `realtime`, only before scan 0 for their subscriptions.
+    The rig waits for the peers' acknowledgements of its blocks. In `realtime`, it waits only before scan 0, until all
+    peers have subscribed.
     """
 
     mode: str = choice(

@@ -210,8 +210,8 @@ def _walk(section: type[attrs.AttrsInstance], prefix: str) -> Iterator[tuple[str
 def _evolve(section: attrs.AttrsInstance, changes: Mapping[str, object], prefix: str = "") -> attrs.AttrsInstance:
     """Return a copy of `section` with the nested `changes`, whose keys must exist.
 
-    Each section is built once, with all its changes, so that checks across values see only the final combination.
-    `prefix` is its dotted name with a dot at the end, for messages.
+    Checks across several values see only the final combination. `prefix` is the section's dotted name with a dot at the
+    end, for messages.
 
     Raises:
         ConfigError: a value is invalid, or values contradict each other.

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig as a multifunction board with buffered tasks, as programs see one with NI-DAQmx.
+"""Rig that appears to programs of NI-DAQmx as a multifunction board with buffered tasks.
 
 The inputs `ai0` to `ai3` give the voltages of accelerometer, laser, base sensor and current monitor. The output `ao0`
-drives the shaker through an amplifier of 1 A/V. A thread of `Board` advances rig time at the speed of wall time (a
-running rig advances by itself), and plays the samples of the output task.
+drives the shaker through an amplifier of 1 A/V. A thread of `Board` passes output samples to the rig. It also advances
+rig time at the speed of wall time, unless the rig runs by itself.
 """
 
 from __future__ import annotations
@@ -92,7 +92,10 @@ class DaqmxError(ImpactRigError):
 
 
 class State(enum.Enum):
-    """State of a task, with its description for messages; a task that an error has ended is `DONE`, too."""
+    """State of a task, with its description for messages.
+
+    A task is `DONE` after its last sample or after an error.
+    """
 
     IDLE = "not started"
     ARMED = "waits for its start trigger"
@@ -149,20 +152,20 @@ class DaqmxTask:
         channels: channels of the task.
         rate_hz: samples per second of its clock; 0 means no clock: samples are read or written on demand.
         samples: number of samples per channel of a finite task; None means a continuous task.
-        clock_samples: number of samples per channel as given to `configure_clock`, for a continuous task, too.
+        clock_samples: number of samples per channel as given to `configure_clock`, also for a continuous task.
         buffer_samples: size of its buffer as set by the client; None means the size that NI-DAQmx would choose.
-        trigger: kind of the task for whose start this one waits, once started; empty if it has no trigger.
+        trigger: kind of task whose start triggers this task; empty without a trigger.
         regenerates: whether an output repeats its buffer.
         auto_starts: whether a read starts the task if it was not started.
         state: state of the task.
         run: number of times that the task was started.
         begin_ns: wall time of its first sample [ns since 1970].
-        passed: number of samples per channel since the start that were read; of an output, that were passed to the rig.
-        written: number of samples written to an output: those in its buffer after the last write before the start, and
-            all written since.
+        passed: number of samples per channel since the start that an input has returned, or an output has passed to the
+            rig.
+        written: number of samples of an output: those in its buffer at the start, and those written since.
         error: error that ended the task; None if there was none.
-        acquisition: input of the rig, from the start of an input task until `Board.stop`, even if done; else None.
-        output: output of the rig, from the start of an output task until it ends; else None.
+        acquisition: acquisition from the rig, from the start of an input task until `Board.stop`; otherwise None.
+        output: analog output of the rig, from the start of an output task until its end; otherwise None.
         data: samples of an output that are not passed to the rig yet, or are repeated [V].
     """
 
@@ -192,7 +195,7 @@ class DaqmxTask:
         return self.state in {State.ARMED, State.RUNNING}
 
     def must_be_idle(self) -> None:
-        """Check that the task is not running, so that its settings can change; a task that is done passes.
+        """Check that the task is neither running nor waiting for its trigger, so that its settings can change.
 
         Raises:
             DaqmxError: the task is running or waits for its trigger.
@@ -224,7 +227,7 @@ class DaqmxTask:
 
     @property
     def progress(self) -> int:
-        """Number of samples per channel since the start: acquired by an input; of an output, given to the rig.
+        """Number of samples per channel since the start: acquired by an input, or passed to the rig by an output.
 
         Samples of an input that were overwritten before they were read do not count.
         """
@@ -232,11 +235,10 @@ class DaqmxTask:
 
     @property
     def buffer_size(self) -> int:
-        """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it.
+        """Size of the task's buffer [samples per channel], as set by the client or as NI-DAQmx would choose it.
 
-        The chosen buffer of an output is as large as `data`: all samples written before the start or, if they are not
-        repeated, those not passed to the rig yet. That of a finite input is as large as its number of samples. That of
-        a continuous input depends on the rate and has room for at least `clock_samples`.
+        The chosen buffer of an output has the size of `data`. That of a finite input has room for all its samples. That
+        of a continuous input depends on the rate, and has room for at least `clock_samples`.
         """
         if self.buffer_samples is not None:
             return self.buffer_samples
@@ -249,12 +251,12 @@ class DaqmxTask:
 
 
 class Board:
-    """Board that offers one rig to clients of NI-DAQmx, with the tasks that they have created.
+    """Board that offers one rig to clients of NI-DAQmx, with the tasks that the clients have created.
 
     Hold `changed` while you call a method, except `close`.
 
     Args:
-        config: configuration of the rig that is simulated here; its drive becomes a stream, and tasks set its rates.
+        config: configuration of the rig to simulate; the drive is changed to a stream, and tasks set the rates.
         rig: running rig to use instead; its rates cannot be changed.
         devices: names under which clients find the board.
 
@@ -370,15 +372,15 @@ class Board:
             task: the task.
             kind: "ai" or "ao".
             physical: channels of the board, as for `physical_channels`.
-            name: name of the new channel in the task; to several channels, it is given with 0, 1, … appended. Empty
-                means the name on the board, such as `Dev1/ai0`.
+            name: name of the new channel in the task. For several channels, 0, 1, … is appended to it. Empty means the
+                name on the board, such as `Dev1/ai0`.
             limits: smallest and largest value of the range [unit].
             per_volt: value that corresponds to one volt [unit].
             unit: unit of the values.
 
         Raises:
-            DaqmxError: the task is running, or a channel is unknown, is in the task already or is of the other kind, or
-                a channel of the task has its name, or `limits` are not ascending.
+            DaqmxError: the task is running, or `limits` are not ascending. Also if a channel is unknown, is in the task
+                already, is of the other kind, or would have a name that the task has already.
         """
         task.must_be_idle()
         if task.kind not in {"", kind}:
@@ -401,9 +403,9 @@ class Board:
         task.kind = kind
 
     def channels(self, task: DaqmxTask, text: str) -> list[BoardChannel]:
-        """Return the channels of a task that a list of their names in the task, such as `Dev1/ai1:3, laser`, selects.
+        """Return the channels of a task whose names are in a list such as `Dev1/ai1:3, laser`.
 
-        An empty list selects all channels.
+        The names are those within the task; `:` marks a range of numbers. An empty list selects all channels.
 
         Raises:
             DaqmxError: the task has no such channel, or no channels.
@@ -482,7 +484,9 @@ class Board:
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
-        """Set or remove a task's start trigger: once started, it waits for the next start of a task of the other kind.
+        """Set or remove the start trigger of a task: the next start of a task of the other kind (input or output).
+
+        A task with a trigger waits for it after its own start.
 
         Args:
             task: task that waits for the trigger.
@@ -500,9 +504,10 @@ class Board:
         task.trigger = match[1].lower() if match else ""
 
     def start(self, task: DaqmxTask) -> None:
-        """Start a task and the waiting tasks that it triggers; a task with a start trigger only begins to wait for it.
+        """Start a task, and with it the tasks that wait for this start as their trigger.
 
-        It has no effect on a task that is running or waits for its trigger already.
+        If the task itself has a start trigger, it only begins to wait for that trigger. The call has no effect on a
+        task that is running or waiting already.
 
         Raises:
             DaqmxError: the task has no channels, an output task has no samples, another task is using the inputs or the
@@ -535,10 +540,10 @@ class Board:
             self._trigger(rig, [task, *armed])
 
     def stop(self, task: DaqmxTask) -> None:
-        """Stop a task: its acquired samples are dropped, and its error is cleared.
+        """Stop a task, drop its acquired samples and clear its error.
 
-        An output still plays what the rig has already received, at most `BUFFER_S`, then the drive ramps to zero. The
-        rest of its buffer is dropped, unless it is repeated.
+        An output still plays what the rig has already received, at most 0.1 s (`BUFFER_S`). Then the drive ramps to
+        zero. The rest of its buffer is dropped, unless the output repeats its buffer.
         """
         self._end(task, State.IDLE)
         task.acquisition, task.error, task.passed = None, None, 0
@@ -562,20 +567,20 @@ class Board:
         """Return the next samples of an input task, waiting for them.
 
         Args:
-            task: the task; it is started if it was not, unless its `auto_starts` is false. A task without a clock is
+            task: the task. It is started if it was not, unless its `auto_starts` is false. A task without a clock is
                 stopped again after the read.
-            count: samples per channel; a negative count means all that are left of a finite task, or all that a
-                continuous one has acquired and not yet returned, but no more than `most`.
+            count: samples per channel. A negative count means all remaining samples of a finite task, or all that a
+                continuous task has acquired and not yet returned, but no more than `most`.
             most: largest number of samples per channel that the client accepts.
             timeout_s: longest wait [s]; a negative value means no limit.
             goes_on: returns whether the client still waits for the answer; if not, the wait ends with a DaqmxError.
 
         Returns:
-            Values in the units of the channels, shape (channels, n), where n is `count` unless that is negative.
+            Values in the units of the channels, shape (channels, n); n is `count` unless `count` is negative.
 
         Raises:
-            DaqmxError: the task has no inputs, cannot be started or has failed, `count` is above `most`, or the samples
-                do not arrive in time, were overwritten, or will never arrive because a finite task has fewer left.
+            DaqmxError: the task has no inputs, cannot be started or has failed, or `count` is above `most`. Also if the
+                samples do not arrive in time, were overwritten, or exceed what is left of a finite task.
         """
         if task.kind != "ai":
             raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels to read: add some first")
@@ -623,14 +628,13 @@ class Board:
     ) -> int:
         """Write samples of an output task, and return their number; a call writes all of them or raises.
 
-        Before the start, samples are added to the buffer; if it is full, its oldest are dropped. They replace the
-        buffer of a task that has ended, unless it was stopped since. While the task runs, a buffer that the output
-        repeats is overwritten in a circle, from where the last call ended. In a buffer that is not repeated, new
-        samples follow those that are still to be passed to the rig.
+        Before the start, samples are appended to the buffer, which drops its oldest samples if it is full. While the
+        task runs, new samples follow those that are still to be played. If the output repeats its buffer, new samples
+        overwrite the buffer in a circle instead. After a task has ended by itself, new samples replace its buffer.
 
         Args:
             task: the task.
-            values: samples [V], shape (n,). Without a sample clock, the output takes the last of them and keeps it.
+            values: samples [V], shape (n,). Without a sample clock, the output takes the last sample and keeps it.
             timeout_s: longest wait for space in the buffer [s]; a negative value means no limit.
             goes_on: returns whether the client still waits for the answer; if not, the wait ends with a DaqmxError.
             auto_start: whether to start the task if it is not running.
@@ -726,11 +730,11 @@ class Board:
         code: Code,
         message: Callable[[], str],
     ) -> None:
-        """Wait until `is_over()`, and let other threads use the board meanwhile.
+        """Wait until `is_over()` is true, and let other threads use the board meanwhile.
 
         Raises:
-            DaqmxError: the time is over (no limit if `timeout_s` < 0) or `goes_on()` is false; with this code and
-                message.
+            DaqmxError: `timeout_s` has passed (negative: no limit) or `goes_on()` is false. The error has the given
+                code and message.
         """
         deadline = math.inf if timeout_s < 0.0 else time.monotonic() + timeout_s
         while not is_over():
@@ -744,7 +748,7 @@ class Board:
     def _pump(self) -> None:
         """Advance rig time with wall time, and supply running tasks, until the board is closed; run by its thread.
 
-        A running rig of another program advances by itself.
+        A rig that runs by itself is not advanced.
         """
         while not self._ended:
             with self.changed:
@@ -815,7 +819,7 @@ class Board:
     def _trigger(self, rig: RigDriver, tasks: list[DaqmxTask]) -> None:
         """Start tasks at the same instant.
 
-        Inputs begin with the scan at the first sample of the output or, without an output, with the next block of
+        Inputs begin with the scan at the output's first sample. Without an output, they begin with the next block of
         scans.
         """
         scan = None
@@ -829,12 +833,12 @@ class Board:
             self._continue(task, rig)
 
     def _prepare(self, task: DaqmxTask) -> RigDriver:
-        """Return the rig at the rates that `task` and the other tasks need; create a new one if the rates differ.
+        """Return a rig with the rates that `task` and the other tasks need; create a new rig if the rates differ.
 
-        A new rig starts at rig time 0, without the motion of the one before.
+        A new rig starts at rig time 0 and at rest. A running rig of another program is never replaced.
 
         Raises:
-            DaqmxError: the rig cannot run at these rates, or an active task needs the present ones.
+            DaqmxError: the rig cannot run at these rates, or an active task needs the present rates.
         """
         rates = {}
         for kind, key in RATE_KEYS.items():
@@ -859,13 +863,15 @@ class Board:
         return self._rig
 
     def _config_for(self, rates: dict[str, int]) -> RigConfig:
-        """Return the configuration of a rig with these rates, in blocks of 10 ms; of a running rig, its own.
+        """Return the configuration of a rig with the given rates, in blocks of 10 ms.
+
+        For a running rig of another program, return that rig's configuration.
 
         Args:
             rates: rates [Hz] by configuration key; rates that are not given stay the same.
 
         Raises:
-            DaqmxError: the rig cannot run at these rates, or a running rig has others.
+            DaqmxError: the rig cannot run at these rates, or a running rig has other rates.
         """
         if self._fixed is not None:
             known = {"daq.rate_hz": self._fixed.rate_hz, "drive.stream_rate_hz": self._fixed.stream_rate_hz}
@@ -885,7 +891,7 @@ class Board:
     def _values(self, task: DaqmxTask, rows: NDArray[np.void]) -> NDArray[np.float64]:
         """Return the values of a task's channels, shape (channels, n), from scans.
 
-        The scans are converted back to the voltages of the sensors, and these to the units that the task requests.
+        The readings are converted back to the voltages of the sensors, then to the units that the task requests.
         """
         assert self._rig is not None
         info = {row["name"].decode(): row for row in self._rig.tables(INFO.name)[-1].rows}
@@ -913,6 +919,6 @@ class Board:
 
 
 def _numbers(first: int, last: int) -> range:
-    """Return the numbers of a range of channels such as `2:0`, which may descend, with both ends."""
+    """Return the numbers of a channel range such as `2:0`, with both ends; a range may descend."""
     step = 1 if last >= first else -1
     return range(first, last + step, step)

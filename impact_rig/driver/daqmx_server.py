@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Server of NI's gRPC interface of NI-DAQmx for a rig: the calls that buffered analog input and output need.
+"""gRPC server that offers a rig through NI's interface of NI-DAQmx.
 
-The messages are those of the `nidaqmx` package. A call that this module does not define returns UNIMPLEMENTED, and a
-property that it does not define returns NI's error code -200197 ("not supported").
+It serves the calls that buffered analog input and output need, with the messages of the `nidaqmx` package. A call that
+this module does not define returns UNIMPLEMENTED. A property that it does not define returns NI's error code -200197
+("not supported").
 """
 
 from __future__ import annotations
@@ -66,7 +67,9 @@ _load = functools.partial(extras.load, purpose="impact-rig daqmx", extra="nidaqm
 
 
 def _served(method: Callable[..., dict[str, Any] | None], name: str = "") -> Callable[..., Any]:
-    """Return a gRPC handler for a method that returns the fields of the response; it sends errors in NI's form.
+    """Return a gRPC handler for a method that returns the fields of the response.
+
+    The handler sends an `ImpactRigError` of the method to the client as an error of NI-DAQmx.
 
     Args:
         method: the method; the board is locked while it runs.
@@ -115,9 +118,9 @@ class Service:
 
     @_served
     def CreateTask(self, request: Any, context: Any) -> dict[str, Any]:
-        """Create a task, or return the existing task of this name, as the request's `initialization_behavior` says.
+        """Create a task, or return the existing task of this name.
 
-        By default, an existing task is returned and a missing one is created.
+        The request's `initialization_behavior` can require a new or an existing task; by default, both are allowed.
         """
         name, behavior = request.session_name, request.initialization_behavior
         is_new = behavior == NEW_SESSION or (behavior != ATTACH and name not in self.board.tasks)
@@ -136,7 +139,7 @@ class Service:
 
     @_served
     def StopTask(self, request: Any, context: Any) -> None:
-        """Stop a task, and then report the error that had ended the task before, if there was one."""
+        """Stop a task; if an error had ended it before, the call fails with that error."""
         task = self._task(request)
         error = task.error
         self.board.stop(task)
@@ -167,9 +170,9 @@ class Service:
 
     @_served
     def ResetDevice(self, request: Any, context: Any) -> None:
-        """Stop all tasks of the board, which is one device under all its names; fail if the name is none of these.
+        """Stop all tasks of the board; the tasks and their settings remain.
 
-        The tasks and their settings remain.
+        The call fails if the device name in the request is not one of the board's names.
         """
         self.board.physical_channels(f"{request.device_name}/ai0", "ai")
         for task in self.board.tasks.values():
@@ -209,7 +212,7 @@ class Service:
 
     @_served
     def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> None:
-        """Make this task, once started, wait for the next start of a task of the other kind (input or output)."""
+        """Make a task wait, after its start, for the next start of a task of the other kind (input or output)."""
         self.board.configure_trigger(self._task(request), request.trigger_source)
 
     @_served
@@ -331,9 +334,10 @@ class Service:
         return self._follow(request, context, check, pending, lambda _: response)
 
     def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Yield a response each time that a task has completed its samples (error code 0) or failed (its code).
+        """Yield a response each time that a task completes its samples or fails.
 
-        The responses end when the task is cleared or the client leaves.
+        The response has the status 0 or the error code. The responses end when the task is cleared or the client
+        leaves.
         """
 
         def pending(task: DaqmxTask, reported: int) -> int:
@@ -358,8 +362,8 @@ class Service:
             request: request of the client, which names the task.
             context: gRPC context of the call.
             check: raises a DaqmxError if the request is invalid for the task.
-            pending: returns how many responses are due, from the task and the number already sent in this run of the
-                task.
+            pending: returns how many responses are due now; its arguments are the task and the number of responses sent
+                since the task's last start.
             response: returns a response.
         """
         board = self.board
@@ -492,8 +496,8 @@ class Service:
         """Set a property of a task.
 
         Raises:
-            DaqmxError: the task or channel is unknown, or the property cannot be set on this board, not of a task of
-                this kind, not while the task runs, or not to this value.
+            DaqmxError: the task or channel is unknown, the property or its value is not supported for this task, or the
+                property cannot change while the task runs.
         """
         self._set(request, request.attribute_raw or request.attribute, _value(request, "value"))
 
@@ -597,9 +601,9 @@ def servicer(board: Board) -> Any:
 
 
 def _reason(address: str) -> str:
-    """Return why a server cannot listen on an address `HOST:PORT`: the operating system's reason.
+    """Return the reason why a server cannot listen on an address `HOST:PORT`, for an error message.
 
-    If it reports none, the reason is that gRPC does not accept the address.
+    If the operating system reports no reason, the text says that gRPC does not accept the address.
     """
     host, _, port = address.rpartition(":")
     try:
@@ -613,7 +617,9 @@ def _reason(address: str) -> str:
 
 @contextlib.contextmanager
 def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
-    """Serve a board until the end of the `with` statement, then close the board and its rig; yield server and port.
+    """Serve a board until the end of the `with` statement, and yield the server and its port.
+
+    At the end, the board and its rig are closed.
 
     Args:
         board: the rig as a board.

@@ -68,7 +68,7 @@ class StreamLevel(NamedTuple):
         buffered: number of samples in the buffer from `sample` on, up to the first gap.
         capacity: number of samples that the buffer can hold.
         late: number of samples dropped because they arrived too late, since the start or the last reset of the rig.
-        missing: number of samples that had not arrived when the rig needed them, since the same moment.
+        missing: number of samples that had not arrived when the rig needed them, since the start or the last reset.
     """
 
     sample: int
@@ -86,7 +86,7 @@ class StreamLevel(NamedTuple):
 
 
 class Turns:
-    """Fair reentrant lock: a thread that releases it while others wait gets it again only after one of them."""
+    """Fair reentrant lock: a thread that releases it cannot get it again before one of the waiting threads."""
 
     def __init__(self) -> None:
         self._next, self._lock = threading.Lock(), threading.Lock()
@@ -122,8 +122,8 @@ class RigDriver(abc.ABC):
         runs_by_itself: whether rig time advances without `step`; `step` then waits for it.
         scenario: text of a program that repeats the actions on this rig; it is saved with the run of a failed test.
         turns: lock that a thread holds while it calls a rig that it shares with other threads.
-        fed: event that wakes a thread which waits for samples: another one has sent some, has ended the stream, or has
-            advanced the rig.
+        fed: event that is set when a thread has sent samples, ended the stream or advanced the rig; it wakes a thread
+            that waits for samples.
     """
 
     lead_s = 0.0
@@ -173,9 +173,9 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def journal(self) -> list[JournalEntry]:
-        """Return the kept journal entries, across resets, oldest first: the inputs that changed the rig's state.
+        """Return the kept journal entries, oldest first.
 
-        `clear` drops none of them.
+        An entry is an input that changed the rig's state. Neither a reset nor `clear` drops entries.
         """
 
     @abc.abstractmethod
@@ -204,7 +204,9 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def inject(self, fault: Fault) -> int:
-        """Add an instrument fault, which starts at its `start_sample`; return its number (from 1, after planned ones).
+        """Add an instrument fault, which starts at its `start_sample`, and return its number.
+
+        Numbers count from 1; planned faults have the first numbers.
 
         Raises:
             ImpactRigError: the kind or channel is unknown, or the scan `start_sample` has been measured already.
@@ -243,7 +245,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
-        """Apply `command` with these values now, and return the number of the first scan they act on."""
+        """Command the drive now, and return the number of the first scan that the command acts on."""
 
     @abc.abstractmethod
     def _forget(self) -> None:
@@ -317,7 +319,7 @@ class RigDriver(abc.ABC):
 
     @property
     def frontier_sample(self) -> int:
-        """Number of the next scan, not measured yet, that a command can act on: they act every 10 ms of rig time."""
+        """Number of the first scan, not measured yet, on which a command can act: commands act every 10 ms."""
         return first_scan_on_grid(self.sample, self.rate_hz)
 
     @property
@@ -435,11 +437,10 @@ class RigDriver(abc.ABC):
 
     @staticmethod
     def _kept_of(topic: str, kept: Mapping[str, _T]) -> _T:
-        """Return the entry of a topic with tables in `kept`, which has the kept messages of each topic.
+        """Return the entry of a topic with tables in `kept`, a mapping from the topics that the rig keeps.
 
         Raises:
-            ConfigError: the rig keeps no messages of this topic (the message lists the topics that it keeps), or the
-                topic carries no tables.
+            ConfigError: the rig keeps no messages of this topic, or the topic carries no tables.
         """
         if topic not in kept:
             known = [one.name for one in topics.COMMON]
@@ -503,9 +504,9 @@ class RigDriver(abc.ABC):
 
     @property
     def lost_scans(self) -> int:
-        """Number of scans measured since the start or last reset that were not published or, over ROS, not received.
+        """Number of scans lost since the start or the last reset: not published or, over ROS, not received.
 
-        A fault that loses blocks is the usual reason.
+        The usual reason is a fault that loses blocks.
         """
         return self._lost_before + sum(end - first for first, end in self.lost_samples())
 
@@ -558,8 +559,8 @@ class RigDriver(abc.ABC):
     def report(self) -> str:
         """Return a report about this rig, of several lines, for a failed test.
 
-        It lists the settings that differ from the defaults (except `time`), the faults, the first five ranges of scans
-        lost since the last `clear` or reset, and the last ten changes of the drive.
+        It lists the settings that differ from the defaults (except `time`), the faults, the first ranges of lost scans,
+        and the last changes of the drive.
         """
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
@@ -612,10 +613,10 @@ def check_topics(also: Iterable[str]) -> None:
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig: `config` or, from a mapping `section.key` -> value, the defaults with these.
+    """Return the configuration of a rig, with `faults` added to its planned faults (`instruments.faults.planned`).
 
-    None means the defaults. The `faults` are added to the planned faults of the configuration
-    (`instruments.faults.planned`).
+    `config` is a configuration, or a mapping `section.key` -> value of values that differ from the defaults. None means
+    the defaults.
 
     Raises:
         ConfigError: a key is unknown, or a value or fault is invalid.

@@ -13,10 +13,10 @@
 # limitations under the License.
 """Buffered analog output and input of a rig, for programs that play samples and read the response.
 
-`AnalogOutput` plays samples and `Acquisition` reads scans. Each works without the other: they may be in two processes,
-each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in lockstep, because
-its step waits for samples while the thread that writes them waits for its turn. `Hardware` combines both for a program
-with one thread. Every call that waits has a time limit, and takes or returns any number of samples or scans.
+`AnalogOutput` plays samples, `Acquisition` reads scans, and `Hardware` combines both for a program with one thread.
+Output and acquisition can also run in two processes, each with its own `RosRig`, or in two threads that share one rig.
+Threads cannot share a `RosRig` in lockstep: its step waits for samples, while the thread that writes them waits for the
+step. Every call that waits has a time limit, and takes or returns any number of samples or scans.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class UnderrunError(CommandError):
     """Underrun of an analog output: samples were not written in time, so the rig continued without them.
 
     Attributes:
-        samples: number of samples that came too late and were dropped, and of those not written in time.
+        samples: number of missed samples: those that arrived too late and were dropped, and those not written in time.
     """
 
     def __init__(self, message: str, samples: int) -> None:
@@ -64,8 +64,8 @@ class AnalogOutput:
             journal.
         buffer_s: longest time by which samples are written ahead of the rig [s], which is the latency of a controller
             (default: `drive.stream_buffer_s`).
-        raise_underrun: whether `write` raises `UnderrunError` when samples were not written in time, so that the rig
-            did not play them; otherwise it returns their number and continues at the rig's present time.
+        raise_underrun: whether `write` raises `UnderrunError` when samples were not written in time; otherwise it
+            returns their number and continues at the rig's present time.
 
     Attributes:
         next_sample: number of the next sample to be written, counted from scan 0; None before the start.
@@ -96,7 +96,7 @@ class AnalogOutput:
     def buffered(self) -> int:
         """Number of samples that were written and have not been played yet.
 
-        Before `start`, and after `stop` or an `UnderrunError`, only those that wait for the next `start` count.
+        While the output is not playing, only samples that wait for the next `start` count.
         """
         if self.next_sample is None or not self._playing:
             return sum(map(len, self._waiting))
@@ -133,7 +133,7 @@ class AnalogOutput:
                 sample arrives in time, `rig.lead_s`.
 
         Returns:
-            Number of the first of these samples: the time from scan 0 in samples of the stream, not in scans.
+            Number of the first of these samples, counted from scan 0 at the rate of the stream.
         """
         rig = self._rig
         with rig.turns:
@@ -150,18 +150,18 @@ class AnalogOutput:
         return first
 
     def write(self, samples: ArrayLike, timeout_s: float = TIMEOUT_S) -> int:
-        """Append samples, and return once the buffer has accepted them; without `start`, they are kept until `start`.
+        """Append samples, and return once the buffer has accepted them.
 
-        If the buffer is full, a rig that does not run by itself is advanced. If another thread calls `stop` meanwhile,
-        the samples not accepted yet are dropped.
+        Before `start`, samples are kept until `start`. If the buffer is full, a rig that does not run by itself is
+        advanced. If another thread calls `stop` meanwhile, the samples not accepted yet are dropped.
 
         Args:
             samples: samples [A, m or V by `drive.kind`], shape (n,).
             timeout_s: longest wait for space in the buffer [s of wall time].
 
         Returns:
-            Number of missed samples since the last call: those that came too late and were dropped, and the sample
-            numbers skipped to catch up with the rig; always 0 with `raise_underrun`.
+            Number of missed samples since the last call: those that came too late, and the sample numbers skipped to
+            catch up with the rig; always 0 with `raise_underrun`.
 
         Raises:
             TimeoutError: the buffer had no space in time; the samples before `next_sample` were accepted.
@@ -215,13 +215,13 @@ class AnalogOutput:
         self.next_sample += len(values)
 
     def _lost(self) -> int:
-        """Return how many samples since the last call came too late.
+        """Return the number of samples missed since the last call.
 
-        If the rig has passed the number of the next sample, that is increased to the first one that can arrive in time;
-        the numbers skipped count as well.
+        If the rig has already passed `next_sample`, this number is increased to the first sample that can arrive in
+        time. The skipped numbers count as missed, too.
 
         Raises:
-            UnderrunError: there are such samples, and `raise_underrun` is set; the output then stops playing.
+            UnderrunError: samples were missed, and `raise_underrun` is set; the output then stops playing.
         """
         assert self.next_sample is not None
         level = self._level()
@@ -256,7 +256,7 @@ class Acquisition:
         buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost.
 
     Attributes:
-        next_scan: number of the next scan to be read; None until the first one is known.
+        next_scan: number of the next scan to be read; None until the number of the first scan is known.
         lost: number of scans since the last `start` that were not published, did not arrive or were not read in time.
     """
 
@@ -272,7 +272,7 @@ class Acquisition:
 
     @property
     def available(self) -> int:
-        """Number of scans, from `next_scan` to the newest that arrived, that `read` returns without waiting.
+        """Number of scans that `read` returns without waiting: from `next_scan` to the newest that has arrived.
 
         Lost scans among them count, too, although `read` leaves them out.
         """
@@ -282,9 +282,10 @@ class Acquisition:
             return 0 if self.next_scan is None else max(0, self._end - self.next_scan)
 
     def start(self, scan: int | None = None) -> None:
-        """Keep the scans from number `scan` on (default: from the next one that arrives), and count lost ones from 0.
+        """Start to keep scans, from number `scan` on, or by default from the next scan that arrives.
 
-        Of the scans that were kept before, those from number `scan` on can still be read; all others are dropped.
+        The count `lost` restarts at 0. Of the scans kept earlier, those from number `scan` on can still be read; the
+        rest is dropped.
         """
         with self._rig.turns:
             if not self._started:
@@ -295,7 +296,7 @@ class Acquisition:
             self._end = self._kept[-1][0] + len(self._kept[-1][1]) if self._kept else scan or 0
 
     def stop(self) -> None:
-        """Stop keeping scans; those that have arrived can still be read, and a `read` of more scans starts again."""
+        """Stop keeping scans; scans that have arrived can still be read, and a `read` of more scans starts again."""
         with self._rig.turns:
             if self._started:
                 self._rig.disconnect(self._on_block)
@@ -360,10 +361,10 @@ class Acquisition:
             self.next_scan = self._kept[0][0]
 
     def _count_withheld(self) -> None:
-        """Count scans as lost that a fault withholds, if the rig advances only by `step`.
+        """Count scans that a fault withholds as lost, if the rig advances only in `step`.
 
-        Another rig shows the gap with its next block. This one may wait for samples that the program only writes after
-        it has read the scans of the last ones.
+        Otherwise, the next block would show the gap. But the rig may wait for samples before that block, and the
+        program may write them only after it has read the withheld scans.
         """
         taken = self._rig.sample
         if self._started and not self._rig.runs_by_itself and self.next_scan is not None and taken > self._end:
@@ -407,7 +408,7 @@ class Hardware:
         return self.rig.tables(INFO.name)[-1].rows
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
-        """Play samples; return the scans that were taken while they were played, and `rest` further scans.
+        """Play samples; return the scans taken while the samples were played, and `rest` further scans.
 
         The stream ends after the last sample, so the drive ramps to zero during the further scans. Lost scans are
         missing from the result.
@@ -445,14 +446,14 @@ class Hardware:
 class Exchange:
     """Gapless exchange of samples and scans: each call plays samples and reads as many scans.
 
-    The scans that a call returns were taken while the rig played the samples that lie `lag` samples before those of the
-    call. When a call returns, the rig therefore has samples for the duration of the lag, so the caller may wait as long
-    before the next call. The constructor starts output and acquisition, so this also applies to the first call.
+    The scans of a call belong to samples that were written `lag` samples earlier. When a call returns, the rig still
+    has `lag` samples to play, so the caller has that time until the next call. The constructor starts output and
+    acquisition.
 
     Args:
         hardware: output and acquisition, with equal rates.
-        lag: number of samples that are written ahead of the scans read, at least 1; zeros at first. A larger
-            number than a quarter of the rig's buffer is reduced to that quarter.
+        lag: number of samples that are written ahead of the scans read, at least 1; the first ones are zeros. It is
+            limited to a quarter of the rig's buffer.
 
     Raises:
         ConfigError: samples and scans have different rates, or the lag is less than 1.
@@ -472,8 +473,8 @@ class Exchange:
         """Write samples and read as many scans.
 
         Returns:
-            The samples that were played during these scans (`lag` samples before the ones written now), and the scans.
-            If scans were lost, there are fewer scans than samples.
+            The samples that were played during these scans (`lag` samples before the samples written now), and the
+            scans. If scans were lost, there are fewer scans than samples.
         """
         parts = []
         for at in range(0, len(samples), self.lag):
@@ -495,9 +496,9 @@ def _check_rates(rig: RigDriver) -> None:
 
 
 def _refresh(rig: RigDriver) -> None:
-    """Process what has arrived from a rig whose time advances without `step`, and free the tables that it keeps.
+    """Process the messages that have arrived from a rig that runs by itself, and free the tables that it keeps.
 
-    The listeners of the rig receive what has arrived. There is no effect on other rigs.
+    The rig's listeners receive the new scans. For a rig that advances only in `step`, the call has no effect.
     """
     if rig.runs_by_itself:
         rig.poll()
@@ -505,10 +506,11 @@ def _refresh(rig: RigDriver) -> None:
 
 
 def _advance(rig: RigDriver, deadline: float, what: str) -> None:
-    """Advance rig time by one block, and drop the rig's tables, except those of `ESSENTIAL`.
+    """Advance the rig by one block, and drop its tables, except those of `ESSENTIAL`.
 
-    Of a rig that runs by itself, wait at most `SLICE_S` for a block. If another rig lacks samples for the block, wait
-    until another thread writes some, or until the deadline. In both cases the call can return without a new block.
+    For a rig that runs by itself, wait at most 0.1 s (`SLICE_S`) for a block. If another rig lacks samples for the
+    block, wait until another thread writes some, or until the deadline. In both cases, the call can return without a
+    new block.
 
     Args:
         rig: the rig.

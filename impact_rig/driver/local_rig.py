@@ -188,10 +188,10 @@ class LocalRig(RigDriver):
         return list(self._kept_of(topic, self._kept))
 
     def journal(self) -> list[JournalEntry]:
-        """Return the journal since the start, across resets, oldest entry first: every input that changed the state.
+        """Return the journal entries since the start, oldest first; a reset drops none of them.
 
-        Once old entries, commands and calibrations fill half of `kept_bytes`, the oldest are dropped, even the entry of
-        the start.
+        An entry is an input that changed the rig's state. Once old entries, commands and calibrations fill half of
+        `kept_bytes`, the oldest are dropped.
         """
         return list(self._kept[topics.JOURNAL.name])
 
@@ -217,9 +217,8 @@ class LocalRig(RigDriver):
     def reset(self) -> None:
         """Start again at scan 0 with everything at rest, as the service `rig/reset` does.
 
-        The present configuration stays, and the drive starts with its frequency and amplitude instead of those last
-        commanded. Injected faults end, and kept tables stay. Stamps of rig time continue, so no
-        stamp is used twice.
+        The drive starts with the frequency and amplitude of the present configuration, not with those last commanded.
+        Injected faults end. Kept tables stay. Stamps of rig time continue, so no stamp is used twice.
 
         Raises:
             CommandError: the shaker is stopped, which a reset must not clear.
@@ -251,9 +250,9 @@ class LocalRig(RigDriver):
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send samples of the stream that drives the rig (`drive.waveform: stream`).
 
-        Samples that come too late are dropped, and counted as `late` in `stream_level`; others replace earlier ones of
-        the same number. At a gap, `step` raises a TimeoutError, or without `drive.stream_wait` the rig does what
-        `drive.on_underrun` says. A recording contains all samples of each accepted call, late ones included.
+        Samples that arrive too late are dropped, and counted as `late` in `stream_level`. Other samples replace earlier
+        samples of the same number. At a gap, `step` raises a TimeoutError. Without `drive.stream_wait`, the rig instead
+        does what `drive.on_underrun` says.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
@@ -295,9 +294,10 @@ class LocalRig(RigDriver):
 
     @property
     def waiting(self) -> str:
-        """Message that the analysis delays a measurement because the sphere may still strike; empty if it does not.
+        """Reason why the analysis delays a measurement: the sphere may still strike.
 
-        Empty does not mean that the measurement is finished. It is also empty without an analysis.
+        It is empty if nothing delays a measurement, and without an analysis. Empty does not mean that the measurement
+        is finished.
         """
         progress = None if self.tracker is None else self.tracker.progress
         return "" if progress is None else progress.reason
@@ -381,8 +381,7 @@ class LocalRig(RigDriver):
     def _publish_changes(self) -> None:
         """Publish what has changed since the last call: journal entries, applied commands and the calibration.
 
-        To publish means here to keep it for `tables` and to record it. Commands and calibration are also passed to the
-        analysis.
+        Here, to publish means to keep for `tables` and to record. The analysis also gets commands and calibration.
         """
         entries = self.core.take_journal()
         if entries and (encoded := codec.encode(self.core.info())) != self._info:
@@ -416,7 +415,10 @@ class LocalRig(RigDriver):
             self._forget_oldest()
 
     def _forget_oldest(self) -> None:
-        """Drop the oldest table or journal entry; an `ESSENTIAL` one moves to `_early`, for `_forget_early`."""
+        """Drop the oldest table or journal entry.
+
+        A table or entry of a topic in `ESSENTIAL` is not dropped. It moves to `_early`.
+        """
         topic, one = self._order.popleft()
         if topic in ESSENTIAL:
             self._early.append((topic, one))
@@ -431,12 +433,9 @@ class LocalRig(RigDriver):
             self._kept_from = first + len(one.rows)
 
     def _forget_early(self) -> bool:
-        """Drop the oldest message in `_early` whose topic has a later message there, to free memory.
+        """Drop the oldest message in `_early` whose topic has a later message there; return whether there was one.
 
         `_early` has the messages of topics in `ESSENTIAL` that are older than all other kept messages.
-
-        Returns:
-            Whether there was such a message.
         """
         for index, (topic, one) in enumerate(self._early):
             if self._early_counts[topic] > 1:
@@ -459,7 +458,9 @@ def _encoded(one: Table | JournalEntry) -> bytes:
 
 
 def _settings(analysis: Mapping[str, Any]) -> tuple[TrackerSettings, float | None]:
-    """Return the settings of the analysis, and the operator's gap label [m]: NaN if unknown, None if not given.
+    """Return the settings of the analysis, and the operator's gap [m]: NaN if unknown, None if not given.
+
+    `analysis` has both; a negative `gap_m` means unknown.
 
     Raises:
         ConfigError: a setting is unknown or invalid.

@@ -242,10 +242,10 @@ class RosRig(RigDriver):
         return config
 
     def _connect_stream(self) -> None:
-        """Wait until this program, as the source of the drive's samples, has found all readers of the rig.
+        """Subscribe to the state of the drive's stream, and wait until this program has found all readers of the rig.
 
-        Otherwise, a recorder that connects late would lose the first samples. If readers are not found within
-        `DISCOVERY_S`, the program continues without them.
+        Otherwise, a recorder that connects late would lose the first samples. After `DISCOVERY_S` seconds, the program
+        continues without the missing readers.
         """
         self.client.publisher(topics.WAVEFORM)
         self._stream = Collector(topics.STREAM)
@@ -255,19 +255,19 @@ class RosRig(RigDriver):
             self.client.wait_until(self._finds_readers, "all nodes that read the rig", DISCOVERY_S)
 
     def _finds_readers(self) -> bool:
-        """Return whether this program has discovered all readers of scans that the rig's diagnostics name.
+        """Return whether this program has discovered all nodes that read scans according to the rig's diagnostics.
 
-        The readers are nodes, compared by name without namespace. The result is False until diagnostics have arrived.
+        Nodes are compared by name without namespace. The result is False until diagnostics have arrived.
         """
         figures = self.client.figures("rig")
         names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
 
     def _join(self) -> None:
-        """Read the stamp of scan 0 from `daq/info`, and the number of the next scan.
+        """Set the stamp of scan 0 and the number of the next scan from what the rig publishes.
 
-        If the rig runs by itself, its newest block gives that number. A rig in lockstep publishes no block until it is
-        stepped, but its diagnostics have the stamp of the next block.
+        The newest block gives the number of the next scan. A rig in lockstep publishes no block until it is stepped, so
+        its diagnostics give that number instead.
         """
         info = self.client.wait_until(self._collectors[topics.INFO.name].last, topics.INFO.name)
         self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
@@ -290,9 +290,8 @@ class RosRig(RigDriver):
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Create a node under test in this process, and make the rig wait for its callbacks.
 
-        In lockstep, `step` returns when they have processed all blocks of the step. Within it, as always in
-        `free_running`, the rig is at most `time.ack_window` blocks ahead of them (by default, for a new rig, 8 or the
-        blocks of 0.1 s if these are fewer). A `realtime` rig does not wait.
+        In lockstep, `step` returns when the callbacks have processed all blocks of the step. During a step, and in
+        `free_running`, the rig is at most `time.ack_window` blocks ahead of them. A `realtime` rig does not wait.
 
         The node's code need not be changed. Its callbacks run in this thread while this object waits, without a time
         limit.
@@ -326,13 +325,13 @@ class RosRig(RigDriver):
         output: str | None = None,
         timeout_s: float = NODE_TIMEOUT_S,
     ) -> Collector | None:
-        """Start a node under test as a process, for which the rig waits as for one of `host`.
+        """Start a node under test as a process, and make the rig wait for it as for a node of `host`.
 
         Args:
             command: program and arguments; `--ros-args -r __node:=NAME …` is appended.
             name: node name of the node.
             parameters: ROS parameters of the node.
-            output: topic on which the node answers every block. The stamp in an answer's header tells which block;
+            output: topic on which the node answers every block. The stamp in an answer's header identifies the block;
                 answers without a header are counted. None: the node sends `daq/ack` itself, with its name as
                 `frame_id`.
             timeout_s: time limit for the node to subscribe to daq/scan, and then for a publisher of `output` to appear
@@ -351,7 +350,7 @@ class RosRig(RigDriver):
         return self.follow(name, output, timeout_s)
 
     def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
-        """Make the rig wait, as for a node of `host`, for a node that another program has started.
+        """Make the rig wait for a node that another program has started, as for a node of `host`.
 
         Args:
             name: node name of the node.
@@ -375,7 +374,7 @@ class RosRig(RigDriver):
         return found
 
     def listen(self, topic: str) -> Collector:
-        """Collect all messages of one topic from now on; it may be any topic that has a publisher.
+        """Collect all messages of a topic from now on; any topic with a publisher is allowed.
 
         Args:
             topic: name of the topic, relative to the rig's namespace or absolute.
@@ -393,9 +392,9 @@ class RosRig(RigDriver):
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
         """Advance by whole blocks of scans; return when every peer has processed them.
 
-        The peers of a new rig are this program, recorder, analysis and the nodes under test; those of a running rig are
-        in its parameter `time.peers`. A rig that runs by itself is not advanced: the call returns when that many
-        further blocks have arrived, whether or not other nodes have processed them.
+        The peers of a new rig are this program, recorder, analysis and the nodes under test. The peers of a running rig
+        are in its parameter `time.peers`. A rig that runs by itself is not advanced: the call returns when that many
+        further blocks have arrived.
 
         Args:
             blocks: number of blocks.
@@ -462,7 +461,7 @@ class RosRig(RigDriver):
     def journal(self) -> list[JournalEntry]:
         """Return the journal entries that have arrived, oldest first: every input that changed the rig's state.
 
-        They go on across resets; the methods `restart` and `renew` drop them.
+        A reset drops none of them; `restart` and `renew` drop all.
         """
         return self._collectors[topics.JOURNAL.name].entries()
 
@@ -537,10 +536,10 @@ class RosRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned instrument faults, and those injected since the last `restart` or `renew`, ended or removed ones too.
+        """Instrument faults: the planned ones, and those injected since the last `restart` or `renew`.
 
-        `start_sample` of an injected fault is the scan number given to `inject`, counted from scan 0. The node's
-        parameter instead states the start relative to the moment of injection.
+        Faults that have ended or were removed are listed, too. `start_sample` of an injected fault is the scan number
+        given to `inject`, counted from scan 0.
         """
         lines = [line for line in self.config.instruments.faults.planned if line.split()]  # no fault on an empty one
         planned = list(zip(lines, super().faults, strict=True))
@@ -557,9 +556,9 @@ class RosRig(RigDriver):
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send samples of the stream that drives the rig (`drive.waveform: stream`), on `shaker/waveform`.
 
-        The rig's node checks them later. It ignores samples that arrive too late (`late` of `stream_level`). If a
-        sample is not finite or exceeds shaker or buffer, or a pluck has locked the base, it drops all samples of the
-        call, logs a warning and counts the rejection.
+        The rig's node checks the samples later. It drops samples that arrive too late (`late` of `stream_level`). It
+        rejects all samples of the call, and logs a warning, if a sample is not finite or exceeds shaker or buffer, or
+        if a pluck has locked the base.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
@@ -601,7 +600,11 @@ class RosRig(RigDriver):
         return super().stream_rate_hz if state is None else int(state.rows["rate"][0])
 
     def _published_states(self) -> Collector:
-        """Return the received states of the stream (`shaker/stream`), or raise a CommandError without a stream."""
+        """Return the collector of the stream's states (`shaker/stream`).
+
+        Raises:
+            CommandError: the drive is not a stream.
+        """
         if self._stream is None or self.config.drive.waveform != "stream":
             waveform = self.config.drive.waveform
             wrong = "not yet a stream" if waveform == "stream" else f"{waveform}, not a stream"
@@ -612,8 +615,8 @@ class RosRig(RigDriver):
     def stopped(self) -> str:
         """Reason why the shaker is stopped by a trip or emergency stop, from the journal; empty if it is not stopped.
 
-        It stays stopped, and the rig cannot be reset, until the service `rig/clear_trip`. A stop before this object
-        joined a running rig is not reported.
+        The shaker stays stopped, and the rig cannot be reset, until the service `rig/clear_trip`. A stop before this
+        object joined a running rig is not reported.
         """
         for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
             self._journal_read += 1
@@ -628,11 +631,11 @@ class RosRig(RigDriver):
         return self._stopped
 
     def renew(self, config: RigConfig) -> None:
-        """Restart rig, analysis and recorder with another configuration, as if they were new, in the same processes.
+        """Restart rig, analysis and recorder with another configuration, in the same processes.
 
-        Nodes of `host` and `start_node` are ended; the rig no longer waits for those of `follow`. A recording of
-        `record=True` is replaced by a new one. One in a directory that the user chose is finished, and no new one
-        begins. Between two tests, this is faster than to start new processes.
+        Nodes of `host` and `start_node` are ended, and the rig no longer waits for nodes of `follow`. With
+        `record=True`, a new recording replaces the old one. A recording in another directory is finished, and no new
+        recording begins.
 
         Args:
             config: new configuration of the rig; settings that `restart` leaves unchanged are not applied.
@@ -665,8 +668,8 @@ class RosRig(RigDriver):
         Scan rate, block length and the settings of `time` and `step` stay as they are (`FIXED`).
 
         Args:
-            config: new configuration of the rig; its values of these settings are not applied.
-            analysis: parameters of the analysis to set, if the rig has one; others stay as they are.
+            config: new configuration of the rig; its values of the settings in `FIXED` are not applied.
+            analysis: parameters of the analysis to set, if the rig has one; other parameters stay as they are.
             record: directory of the run that the recorder writes from now on; None means no recording.
 
         Raises:
@@ -760,8 +763,8 @@ class RosRig(RigDriver):
     def close(self) -> None:
         """End all node processes and nodes that this object started, which finishes its recording.
 
-        A temporary `directory` is removed with its logs and recording. A rig that another program started goes on,
-        and waits for the peers again that it had when this object joined it.
+        A temporary `directory` is removed with its logs and recording. A rig that another program started continues. It
+        no longer waits for the nodes of `host`, `start_node` and `follow`.
         """
         super().close()
         kept = [peer for peer in self._peers if peer in self._own[0]]
@@ -779,13 +782,13 @@ class RosRig(RigDriver):
         self.client.set_parameters("rig", {"time.peers": self._peers})
 
     def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
-        """Acknowledge blocks of scans for the node `name`, which publishes a message on `output` for each block.
+        """Acknowledge blocks of scans for the node `name`, which answers each block by a message on `output`.
 
-        A message with a header acknowledges the block that has its stamp; one without acknowledges the next block in
+        A message with a header acknowledges the block with the same stamp, a message without a header the next block in
         order. `timeout_s` is the time limit for a publisher of `output` to appear [s].
 
         Returns:
-            Collector of these messages.
+            Collector of the messages on `output`.
         """
         scans = self._collectors[SCANS]
         begin = answered = len(scans)

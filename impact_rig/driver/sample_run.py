@@ -29,10 +29,10 @@ GAP_M = 6e-3
 
 
 def make_sample(directory: Path) -> Path:
-    """Record the sample run into `directory`, unless a complete one is there, and return `directory`.
+    """Record the sample run into `directory`, unless a complete run is there, and return `directory`.
 
-    A run is complete if it has all topics of `SAMPLE_TOPICS`. A directory without one is deleted with all its contents
-    and replaced.
+    A run is complete if it has all topics of `SAMPLE_TOPICS`. An existing directory without a complete run is deleted
+    with all its contents.
     """
     if directory.is_dir():
         try:

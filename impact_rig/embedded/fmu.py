@@ -58,12 +58,12 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
 
     Args:
         config: configuration of the rig. The FMU has the gap as a parameter, and drive signals as inputs; all other
-            values are fixed. The inputs are `frequency` [Hz] and `current`, the amplitude of a sine; with the waveform
-            "stream", there is only `current`, the sample of the drive in each step. `current` is in the SI unit of
-            `drive.kind`.
+            values are fixed. With a sine, the inputs are `frequency` [Hz] and the amplitude `current`. With the
+            waveform "stream", `current` is the only input: the sample of the drive in each step. `current` is in the SI
+            unit of `drive.kind`.
         path: path of the file to write.
         version: version of FMI, one of `VERSIONS`.
-        kernels: folder of the compiled kernels; those of another machine need its cross compiler, named in the
+        kernels: folder of the compiled kernels; kernels of another machine need its cross compiler, named in the
             environment variable CC.
 
     Raises:

@@ -57,11 +57,11 @@ SETUP = np.dtype(
 def snapshot(config: RigConfig) -> bytes:
     """Return the bytes from which rig.c starts a rig of this configuration, at rest.
 
-    They have the layout of the structs in rig.c, and are valid only for the same version of the package.
+    The bytes have the layout of the structs in rig.c, and are valid only for the same version of the package.
 
     Raises:
-        ConfigError: rig.c does not support this rig: a chirp, a random drive, an initial amplitude, ideal instruments,
-            planned faults, or a contact law of another package. Or this process does not use the compiled kernels.
+        ConfigError: rig.c does not support this rig (a chirp, a random drive, an initial amplitude, ideal instruments,
+            planned faults, or a contact law of another package), or this process does not use the compiled kernels.
     """
     _check(config)
     model, chain, drive = build(config), Chain(config), new_generator(config)

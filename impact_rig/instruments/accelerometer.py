@@ -103,11 +103,10 @@ class Accelerometer(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of an Imu message for one reading along x [m/s²], with the variance `noise` squared.
+        """Return the fields of an Imu message for one reading along x [m/s²].
 
-        `noise` is the rms of the noise [m/s²].
-
-        The message type Imu has no field for a clipped reading, so `clipped` is ignored.
+        `noise` is the rms of the noise [m/s²]; its square is the variance in the message. `clipped` is ignored, because
+        the message type Imu has no field for it.
         """
         unknown = [0.0, 0.0, 0.0, UNKNOWN_VARIANCE]
         return {

@@ -90,8 +90,8 @@ def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
 def gain_uncertainty(sensor: Sensor, adc: Adc) -> float:
     """Return the relative standard uncertainty of the sensitivity of sensor and converter, for signals of any size.
 
-    A small signal sees the slope of a small part of the range, which the linearity error changes; so the result also
-    contains that part of the linearity error.
+    A small signal covers only a small part of the range, where the linearity error changes the slope. The result
+    contains this change.
     """
     slope = 1.5 * sensor.linearity / sensor.half_range
     rectangular = _square(sensor.gain_tolerance) / 3.0 + _square(adc.gain_tolerance) / 3.0

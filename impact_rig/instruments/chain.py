@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Instruments of a rig as one chain: its input is complete ticks of motion, its output complete scans.
+"""Instruments of a rig as one chain, which turns complete ticks of motion into complete scans.
 
 A scan is one reading of every channel, a tick 10 ms of the scan clock. The chain works like a board with a FIFO:
-`acquire` converts all scans whose instants lie in the given ticks, and `read` returns and removes scans. Every random
-number, filter state and conversion time belongs to a scan or a tick. So neither the number of ticks per call nor the
-block length changes a single bit.
+`acquire` converts all scans whose instants lie in the given ticks, and `read` returns and removes scans. Neither the
+number of ticks per call nor the block length changes a reading, because random numbers, filter states and conversion
+times belong to scans and ticks.
 """
 
 from __future__ import annotations
@@ -102,9 +102,10 @@ class Chain:
         return int(self._channels["converted"].max())
 
     def reset(self) -> None:
-        """Restart at scan 0 with the seed and the planned faults of `config`: the same motion then gives the same bits.
+        """Restart at scan 0 with the seed and the planned faults of `config`.
 
-        Injected faults, calibration sines, and scans that were not read are dropped.
+        After each reset, the same motion gives identical readings. Injected faults, calibration sines, and scans that
+        were not read are dropped.
         """
         config = self._config
         self._clock = scan_clock(config)
@@ -178,8 +179,8 @@ class Chain:
             motion: motion that covers these ticks, which continue those of the call before.
             motion_tick: number of the first of these ticks as `motion` counts its ticks.
             count: number of ticks.
-            tick_s: duration of one tick in the motion's time [s]: 10 ms, which the caller scales by the error of the
-                scan clock, `clock_ppm` included.
+            tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock, which
+                includes `clock_ppm`.
         """
         clock = self._clock.lengths
         breakpoints = None if self._config.instruments.ideal else motion.breakpoints()
@@ -269,11 +270,11 @@ class Chain:
         self._sines[self._names.index(channel)] = Sine(self._tick, ticks, frequency_hz, amplitude)
 
     def inject(self, fault: Fault) -> int:
-        """Add a fault, which acts from its `start_sample` on, and return the number by which `clear` ends it.
+        """Add a fault, which acts from its `start_sample` on; return the number by which `clear` ends the fault.
 
         Raises:
-            CommandError: the scan is before `first_open_scan`, so a channel has already converted it; or the fault's
-                channel is not present.
+            CommandError: `start_sample` is before `first_open_scan`, so a channel has already converted that scan; or
+                the fault's channel is not present.
         """
         if fault.start_sample < self.first_open_scan:
             raise CommandError(
@@ -298,7 +299,7 @@ class Chain:
         self._faults.clear(number, self.first_open_scan)
 
     def fault_numbers(self) -> tuple[int, ...]:
-        """Return the numbers of the faults that act or will act, and of ended ones until `fault_rows` forgets them."""
+        """Return the numbers of faults that act or will act, and of ended faults until `fault_rows` drops them."""
         return self._faults.numbers()
 
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
@@ -310,7 +311,10 @@ class Chain:
         return self._faults.rows(first_scan, count)
 
     def block_lost(self, first_scan: int, count: int) -> bool:
-        """Return whether a lost_block fault acts on any of these scans: their block's scans are then not published."""
+        """Return whether a `lost_block` fault acts on any of `count` scans from number `first_scan` on.
+
+        A block with such a scan is not published.
+        """
         return self._faults.block_lost(first_scan, count)
 
     def clock_ppm(self, tick: int) -> float:
@@ -324,8 +328,8 @@ class Chain:
     def _equip(self, *, keep: bool = False) -> None:
         """Set the records of all channels and modes to the present sensors, calibration errors and converter.
 
-        A mode is a pole of a sensor's dynamics. If `keep`, the modes of a sensor with unchanged dynamics keep their
-        state. All other modes start again as at a reset.
+        A mode is a pole of a sensor's dynamics. With `keep`, the modes of a sensor with unchanged dynamics keep their
+        state. Other modes start as at a reset.
         """
         config, channels, modes = self._config, self._channels, []
         dynamics = [sensor.transfer.modes() for sensor in self._sensors]
@@ -346,7 +350,7 @@ class Chain:
         self._shorten_pieces(config.shaker.frequency_max_hz)
 
     def _shorten_pieces(self, frequency_hz: float) -> None:
-        """Reduce the longest length of the pieces into which a motion is cut, if a drive of this frequency needs that.
+        """Limit the length of the pieces into which a motion is cut, as a drive of this frequency requires.
 
         The length does not grow again until a reset, because a drive of a higher frequency may still be on.
         """
@@ -381,8 +385,7 @@ class Chain:
     ) -> None:
         """Convert ticks for ideal instruments, whose readings are the motion itself.
 
-        They have no skew, so all channels share their instants of conversion. Calibration sines and faults act on the
-        readings as well.
+        All channels have the same instants of conversion. Calibration sines and faults act on the readings.
         """
         tick, offset = np.empty(ticks * self._most_per_tick, np.int64), np.empty(ticks * self._most_per_tick)
         count = instants(self._channels, clock, ticks, tick_s, tick, offset)
@@ -402,10 +405,10 @@ class Chain:
         self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
-        """Return a channel's values that are not finished, flags of clipped ones, first scan, and the last reading.
+        """Return a channel's unfinished values, their clipping flags, their first scan, and the reading before them.
 
-        Values and flags are views into the buffers: volts, which `digitise` turns into finished readings in place, or
-        readings of ideal instruments. The last reading is the finished one before these values, None at the start.
+        Values and flags are views into the buffers. The values are volts, or readings if the instruments are ideal. The
+        reading before them is None at the start.
         """
         row = self._channels[channel]
         part = slice(int(row["finished"]), int(row["filled"]))
@@ -416,11 +419,10 @@ class Chain:
     def _stick(
         self, channel: int, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Apply the fault `stuck`, a converter that repeats its last reading, to a channel's readings [unit].
+        """Apply the fault `stuck`, a converter that repeats its last reading, to a channel's readings [unit] in place.
 
-        The readings are changed in place. The flags in `clipped` of the repeated readings are cleared. `first` is the
-        number of the scan of the first reading, and `last` the reading before it; None at the start, where the first
-        reading is repeated instead.
+        The clipping flags of repeated readings are cleared. `first` is the number of the scan of the first reading, and
+        `last` the reading before it; None at the start.
         """
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):
@@ -433,9 +435,8 @@ class Chain:
 def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
     """Return the jump of the superior base's velocity [m/s] at the start of each piece, shape (n,).
 
-    The jumps are caused by the instantaneous impacts `blows` on a superior base of the mass `mass_kg` [kg]; those in
-    one piece add up at its start. `motion_tick` is the tick at which the pieces begin; impacts outside the pieces are
-    ignored.
+    The instantaneous impacts `blows` cause the jumps; `mass_kg` is the mass of the superior base [kg]. Several impacts
+    in one piece add up. `motion_tick` is the tick at which the pieces begin. Impacts outside the pieces are ignored.
     """
     kicks = np.zeros(len(pieces.start))
     tick = blows["tick"] - motion_tick

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""All channels over some ticks: conversion times, sensor dynamics, output stage and converter.
+"""Processing of all channels over some ticks: conversion times, sensor dynamics, output stage and converter.
 
 Times of conversions are counted in clock units: 1 ns divided by the number `rate_hz` · channels. A scan period, a skew
-and a 10 ms tick are all integers in this unit, so no scan drifts and no result depends on where a block or a call
+and a 10 ms tick are all integers in this unit. So no scan drifts, and no result depends on where a block or a call
 begins.
 """
 
@@ -146,10 +146,10 @@ def new_buffers(channels: int, room: int) -> Buffers:
 
 @kernel
 def _conversions(clock: Clock, due: int, tick_s: float, end: float) -> int:
-    """Return how many conversions of a channel, from its next one on, are due by `end` or exactly then.
+    """Return the number of conversions of a channel that are due up to the time `end`, inclusive.
 
-    `end` is in seconds since the start of the tick, `due` the time of the next conversion since then in clock units,
-    and `tick_s` the duration of the tick [s]. Conversions in later ticks do not count.
+    `end` is in seconds since the start of the tick. `due` is the time of the next conversion since the start of the
+    tick [clock units], and `tick_s` the duration of the tick [s]. Conversions in later ticks do not count.
     """
     if due >= clock.tick or tick_s * (due / clock.tick) > end:
         return 0
@@ -174,9 +174,9 @@ def _respond(
     values: Reals,
     buffers: Buffers,
 ) -> None:
-    """Advance the dynamics of one channel's sensor through the pieces, and append its output at the conversions.
+    """Advance the dynamics of one channel's sensor through the pieces, and append its output at each conversion.
 
-    The output [unit of the channel] is appended to `values` behind the first `channel.filled` values. `kicks` are the
+    The output [unit of the channel] is written to `values`, after the first `channel.filled` values. `kicks` are the
     jumps of the input's integral [unit s] at the start of each piece, shape (pieces,), or (0,) without jumps.
     """
     tick_s, first_and_spacing = pieces.tick_s, buffers.first_and_spacing
@@ -234,10 +234,10 @@ def respond(
 
 @entry(CHANNEL, BUFFERS)
 def digitise(channels: Records, buffers: Buffers) -> None:
-    """Replace the volts that `respond` appended to each channel's buffer by readings in the unit of the channel.
+    """Convert the volts that `respond` appended to each channel's buffer into readings in the unit of the channel.
 
-    The converter adds its noise and errors, and rounds to its steps. Readings beyond its range are limited to it, and
-    those at its ends are marked in `buffers.clipped`.
+    The converter adds its noise and errors, rounds to its steps and limits readings to its range. Readings at the ends
+    of the range are marked in `buffers.clipped`.
     """
     for j in range(channels.shape[0]):
         channel = channels[j]
@@ -251,12 +251,11 @@ def digitise(channels: Records, buffers: Buffers) -> None:
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
 def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of: Integers, offset: Reals) -> int:
-    """Fill in the instants at which channels without skew convert in the next `ticks` ticks.
+    """Compute the instants at which channels without skew convert in the next `ticks` ticks; return their number.
 
-    Channels have no skew with ideal instruments or without multiplexing. An instant is a tick (10 ms), counted from 0
-    in this call, and the offset into it [s]. Returns the number of instants, and adds the conversions to the counters
-    of the channels. A channel that had a skew until now may be one scan behind the others. In that case it converts at
-    all of the instants, the others at all but the first.
+    The instants are written to `tick_of` (number of the tick, from 0 in this call) and `offset` (time within the tick
+    [s]). The counters of the channels are advanced. A channel that is one scan behind, after a change of its skew,
+    converts at all instants; the other channels then omit the first.
     """
     earliest = channels[0].due
     for j in range(channels.shape[0]):
@@ -283,13 +282,14 @@ class Sine:
     """Calibration sine that replaces a channel's input for some ticks.
 
     Attributes:
-        first_tick: number of the first tick in which it is on, since the reset; its phase is zero at the start of it.
+        first_tick: number of the first tick in which it is on, since the reset; its phase is zero at the start of this
+            tick.
         ticks: number of ticks.
         frequency_hz: frequency.
         amplitude: peak value, in the channel's unit.
         anchor_s: time from the start of the sine to the start of `anchor_tick` [s].
         anchor_tick: tick at which the duration of a tick last changed; by default the first tick.
-        tick_s: duration of a tick from there on [s].
+        tick_s: duration of a tick from `anchor_tick` on [s].
     """
 
     first_tick: int
@@ -301,7 +301,7 @@ class Sine:
     tick_s: float = COMMAND_GRID_S
 
     def paced(self, tick: int, tick_s: float) -> Sine:
-        """Return this sine for ticks of another duration, `tick_s` seconds, from tick number `tick` on, without a jump.
+        """Return a sine that continues this sine without a jump, with ticks of `tick_s` seconds from tick `tick` on.
 
         The duration of a tick changes with the error of the scan clock.
         """
@@ -315,7 +315,10 @@ class Sine:
         return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
 
     def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sine's values [unit of the channel] at instants (tick, offset into it), shape (1, n)."""
+        """Return the sine's values [unit of the channel] at given instants, shape (1, n).
+
+        An instant is the number of a tick and the offset into the tick [s].
+        """
         out = np.empty((1, len(tick)))
         since_anchor = tick - self.anchor_tick
         _sine(since_anchor, offset_s, self.tick_s, self.anchor_s, TWO_PI * self.frequency_hz, self.amplitude, out[0])
@@ -351,5 +354,8 @@ def _sine(
 
 
 def still_on(sines: Iterable[tuple[int, Sine]], tick: int, tick_s: float) -> dict[int, Sine]:
-    """Return the sines that have not ended at `tick`, by channel; from there on, a tick takes `tick_s` seconds."""
+    """Return the sines that have not ended at tick number `tick`, by channel.
+
+    From this tick on, a tick of these sines takes `tick_s` seconds.
+    """
     return {channel: sine.paced(tick, tick_s) for channel, sine in sines if tick < sine.first_tick + sine.ticks}

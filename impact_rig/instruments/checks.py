@@ -51,8 +51,8 @@ class ChannelCheck:
         measured: amplitude of the sine fitted to the reading [unit].
         gain: `measured` over `expected`, negative if the channel is inverted.
         gain_limit: largest allowed deviation of |gain| from 1, and of `phase_rad` from 0.
-        phase_rad: phase of the reading relative to the expected sine, or to its negative if the channel is inverted
-            [rad], so within ± π/2. It is positive if the reading leads, and 0 without a signal.
+        phase_rad: phase of the reading relative to the expected sine, within ± π/2 [rad]; positive if the reading
+            leads, 0 without a signal. For an inverted channel, it is relative to the inverted sine.
         residual: rms of the part of the reading that is neither the sine nor a constant [unit].
         residual_limit: largest allowed residual [unit].
         polarity: 1 correct, −1 inverted, 0 no signal (less than a tenth of the expected one).
@@ -145,10 +145,10 @@ def check_known_input(
 
 
 def check_polarity(config: InstrumentSetup, faults: Iterable[Fault] = ()) -> dict[str, int]:
-    """Return for every channel, by name, 1 if a positive input reads positive, −1 if negative, 0 without a signal.
+    """Return the polarity of every channel, by name: 1 correct, −1 inverted, 0 no signal.
 
-    Positive is to the right. A channel with −1 is wired the wrong way round. For 0 the reading has less than a tenth of
-    the input's amplitude. `faults` act as in `check_known_input`.
+    A channel is correct if a positive input (to the right) gives a positive reading. A channel has no signal if the
+    reading has less than a tenth of the input's amplitude. `faults` act as in `check_known_input`.
     """
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 

@@ -190,7 +190,7 @@ def to_units(channel: Record, values: Reals, clipped: Flags, white: Reals) -> No
 
 @entry(CHANNEL, TWO_D_WORDS, TWO_D_FLAGS, BYTES, INTEGERS, returns=int)
 def take_rows(channels: Records, readings: Words, clipped: Flags, rows: Bytes, layout: Integers) -> int:
-    """Fill `rows` with all scans that every channel has finished, except their time, and return their number.
+    """Fill `rows` with all scans that every channel has finished, and return their number; `time` is not filled.
 
     The readings of these scans are removed from the channels' buffers, `readings` and `clipped`.
 

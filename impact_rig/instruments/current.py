@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Coil current monitor of the power amplifier, the phase reference of the other channels if it has a clear signal.
+"""Coil current monitor of the power amplifier.
 
-Its dynamics are a first-order low-pass with a corner far above the drive frequency.
+If its signal is clear, this channel is the phase reference of the other channels. The dynamics of the monitor are a
+first-order low-pass with a corner far above the drive frequency.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ from impact_rig.instruments.sensor import Sensor, lag
 
 @attrs.frozen(kw_only=True)
 class Current(Instrument):
-    """Settings of the power amplifier's coil current monitor, which is the phase reference if it has a clear signal."""
+    """Settings of the coil current monitor of the power amplifier.
+
+    If its signal is clear, this channel is the phase reference of the other channels.
+    """
 
     name = "current"
     place = 3

@@ -17,11 +17,10 @@ A configuration plans faults in lines of text, with times in seconds since the r
 
     offset_step channel=laser start_s=2 duration_s=0.5 value=1e-3 seed=7
 
-`duration_s=0` (the default) means until the fault is cleared; faults of the whole board have no `channel`.
+`duration_s=0` (the default) means until the fault is cleared. Faults of the whole board have no `channel`.
 
-`FaultBoard` holds the faults of a rig with their state from scan to scan. Faults of a channel act on the volts on its
-cable, so they pass through the converter as real ones would; `stuck` acts behind the converter. `lost_block` and
-`clock_drift` concern the whole board: the rig asks `FaultBoard` about them.
+`FaultBoard` holds the faults of a rig. Most faults of a channel change the volts on its cable, ahead of the converter.
+`stuck` changes the readings behind the converter. `lost_block` and `clock_drift` concern the whole board.
 """
 
 from __future__ import annotations
@@ -112,10 +111,10 @@ class Fault:
     def line(self, scan_rate_hz: int) -> str:
         """Return the fault as one line of text for `instruments.faults.planned`, with its times in seconds.
 
-        `from_line` reads it. Numbers that are equal to their defaults are left out.
+        `from_line` converts the line back to a fault. The line leaves out numbers that equal their defaults.
 
         Args:
-            scan_rate_hz: scans per second of the rig, by which numbers of scans become seconds.
+            scan_rate_hz: scans per second of the rig, to convert numbers of scans to seconds.
         """
         numbers = (self.start_sample / scan_rate_hz, self.samples / scan_rate_hz, self.value, self.seed, self.rate_hz)
         return fault_line(self.kind, self.channel, **dict(zip(_NUMBERS, numbers, strict=True)))
@@ -158,9 +157,10 @@ class Fault:
 
 
 def fault_line(kind: str, channel: str, **numbers: float) -> str:
-    """Return a fault as one line of text that `Fault.from_line` reads; numbers equal to their defaults are left out.
+    """Return one line of text that describes a fault, in the form that `Fault.from_line` reads.
 
-    `numbers` may be start_s [s], duration_s [s], value, seed and rate_hz [Hz].
+    `numbers` may be start_s [s], duration_s [s], value, seed and rate_hz [Hz]. The line leaves out numbers that equal
+    their defaults.
     """
     usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
     given = [f"{key}={number!r}" for key, number in numbers.items() if number != usual[key]]
@@ -169,7 +169,7 @@ def fault_line(kind: str, channel: str, **numbers: float) -> str:
 
 @attrs.frozen(kw_only=True)
 class FaultPlan:
-    """Section `instruments.faults` of a configuration: faults that begin at planned times; none by default."""
+    """Section `instruments.faults` of a configuration: the planned faults as lines of text; empty by default."""
 
     planned: tuple[str, ...] = names(
         (),
@@ -193,7 +193,7 @@ class FaultPlan:
 
 
 def _check_kind(kind: str, channel: str) -> None:
-    """Raise a CommandError if the kind of fault is unknown, or if the channel does not have this kind."""
+    """Raise a CommandError if the kind of fault is unknown or does not fit the channel."""
     if kind not in FAULT_KINDS:
         raise CommandError(f"fault kind must be one of {', '.join(FAULT_KINDS)}, got {kind!r}")
     if kind in BOARD_KINDS:
@@ -228,7 +228,7 @@ _NO_ROWS = np.zeros(0, FAULTS)
 
 @attrs.define(eq=False)
 class _Active:
-    """Fault that a `FaultBoard` stores before, during and after its effect, with its number and random generator."""
+    """Entry of a `FaultBoard` for one fault: the fault, its number, its end and its random generator."""
 
     number: int
     fault: Fault
@@ -236,14 +236,14 @@ class _Active:
     random: Random
 
     def overlap(self, first: int, count: int) -> slice:
-        """Return which of the scans first … first + count − 1 the fault affects, as a slice in which 0 is `first`."""
+        """Return the scans in which the fault acts, as a slice of the `count` scans from scan number `first` on."""
         low = min(max(self.fault.start_sample, first), first + count)
         high = min(max(self.end, low), first + count)
         return slice(low - first, int(high) - first)
 
 
 class FaultBoard:
-    """All faults of a rig, planned or injected, numbered from 1, and their effect on volts, readings and scan clock."""
+    """All faults of a rig, numbered from 1, with methods that apply them to volts, readings and the scan clock."""
 
     def __init__(self, faults: Iterable[Fault], rate_hz: int) -> None:
         self._rate_hz = rate_hz
@@ -253,7 +253,10 @@ class FaultBoard:
             self.add(fault)
 
     def add(self, fault: Fault) -> int:
-        """Add a fault, unchecked (see `Chain.inject`), and return the number by which `clear` ends it."""
+        """Add a fault and return its number, which `clear` accepts.
+
+        The fault is not validated here; see `Chain.inject`.
+        """
         self._last_number += 1
         end = fault.start_sample + fault.samples if fault.samples else math.inf
         random = Random(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
@@ -261,16 +264,17 @@ class FaultBoard:
         return self._last_number
 
     def numbers(self) -> tuple[int, ...]:
-        """Return the numbers of the stored faults: those that act or will act, and others until `rows` forgets them."""
+        """Return the numbers of the stored faults.
+
+        A fault that has ended remains stored until `rows` removes it.
+        """
         return tuple(active.number for active in self._faults)
 
     def clear(self, number: int | None, scan: int) -> None:
-        """End a fault, or all faults if `number` is None, so that scan number `scan` is the first one not affected.
+        """End one fault, or all faults if `number` is None.
 
-        A fault that would start at that scan or later never acts.
-
-        Clearing a fault that has ended is allowed and has no effect. An error would depend on whether that fault is
-        still stored, and so on the division into blocks.
+        Scan number `scan` is the first scan without the fault. A fault that would start at this scan or later never
+        acts. Clearing a fault that has ended has no effect.
 
         Raises:
             CommandError: no fault has had this number since the reset.
@@ -286,20 +290,20 @@ class FaultBoard:
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
     def channels(self) -> set[str]:
-        """Return the names of the channels of all faults that are stored; "" stands for faults of the whole board.
+        """Return the names of the channels of all stored faults; "" stands for faults of the whole board.
 
-        These are the faults that act or will act, and ended ones until `rows` forgets them.
+        A fault that has ended remains stored until `rows` removes it.
         """
         return {active.fault.channel for active in self._faults}
 
     def on_cable(
         self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
     ) -> None:
-        """Apply the faults of a channel, except a stuck converter, to the volts on its cable, in place.
+        """Apply the faults of a channel, except `stuck`, to the volts on its cable, in place.
 
-        `first` is the number of the first value's scan; `gain` [V/unit] and `zero` [V] are the sensor's nominal
-        sensitivity and output at zero. A dropout clears the flags in `clipped`, a saturation sets those of the values
-        that it limits.
+        `first` is the scan number of the first value. `gain` [V/unit] and `zero` [V] are the sensor's nominal
+        sensitivity and output at zero. `clipped` holds a flag for each value, which a dropout clears and a saturation
+        sets.
         """
         for active in self._faults:
             if active.fault.channel == channel:
@@ -332,11 +336,11 @@ class FaultBoard:
     def behind_converter(
         self, channel: str, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Apply the fault of a stuck converter, which repeats its last reading, to a channel's readings [unit].
+        """Apply the `stuck` faults of a channel to its readings [unit], in place.
 
-        The readings are changed in place. The flags in `clipped` of the repeated readings are cleared. `first` is the
-        number of the first reading's scan, and `last` the reading before it; None at the start, where the first reading
-        is repeated instead.
+        During such a fault, the last reading before the fault is repeated. `first` is the scan number of the first
+        reading. `last` is the reading before it, or None at the start. The flags of repeated readings in `clipped` are
+        cleared.
         """
         for active in self._faults:
             if active.fault.channel == channel and active.fault.kind == "stuck":
@@ -347,10 +351,10 @@ class FaultBoard:
                     clipped[part] = False
 
     def rows(self, first: int, count: int) -> NDArray[np.void]:
-        """Return starts and ends of faults in the scans first … first + count − 1, in order, as `blocks.FAULTS` rows.
+        """Return starts and ends of faults in the scans first … first + count − 1, as `blocks.FAULTS` rows in order.
 
-        The end of a fault is the first scan that it no longer affects. Call this once per block, in ascending order: it
-        forgets the faults that ended before the scan `first`.
+        A fault ends at the first scan that it no longer affects. Call this method once per block, in ascending order:
+        it removes the faults that ended before the scan `first`.
         """
         if not self._faults:
             return _NO_ROWS
@@ -369,14 +373,14 @@ class FaultBoard:
         return rows
 
     def block_lost(self, first: int, count: int) -> bool:
-        """Return whether a lost_block fault acts on any of these scans, so that their block is withheld."""
+        """Return whether a `lost_block` fault acts in the scans first … first + count − 1 and withholds their block."""
         lost = (active for active in self._faults if active.fault.kind == "lost_block")
         return any(active.fault.start_sample < first + count and active.end > first for active in lost)
 
     def clock_ppm(self, scan: int) -> float:
-        """Return by how much clock_drift faults slow the scan clock at a scan [ppm], 0 if none acts there.
+        """Return by how much the `clock_drift` faults slow the scan clock at a scan [ppm].
 
-        It is the sum of their values, limited to ± LARGEST_DRIFT_PPM.
+        The values of all faults that act there are added. The sum is limited to ± `LARGEST_DRIFT_PPM`.
         """
         if not self._faults:
             return 0.0

@@ -68,7 +68,10 @@ class Instrument:
 
     @property
     def adc_range_v(self) -> float:
-        """Input range of the converter for this channel, ± [V]; every instrument has a field of this name."""
+        """Input range of the converter for this channel: ± this voltage [V].
+
+        Every subclass defines a field of this name.
+        """
         raise NotImplementedError
 
     @property
@@ -77,19 +80,22 @@ class Instrument:
         return bool(getattr(self, "present", True))
 
     def sensor(self) -> Sensor:
-        """Return the model of the channel's sensor: transfer function, range, noise; every subclass defines this."""
+        """Return the model of the channel's sensor: transfer function, range and noise.
+
+        Every subclass defines this method.
+        """
         raise NotImplementedError
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
         """Return the fields of the monitor message for one reading: value by field, e.g. `linear_acceleration.x`.
 
-        A subclass with a `monitor` defines this. A field that is left out keeps its default in the message. Only values
-        of the type float are computed again for each reading; all others are computed once, for the reading 0.
+        A subclass with a `monitor` defines this method. A field that is left out keeps its default in the message. Only
+        values of the type float may differ between readings. All other values are taken once, for the reading 0.
 
         Args:
             reading: low-passed reading at a monitor instant, in the channel's unit.
-            clipped: whether sensor or converter was at an end of its range in a scan between the monitor instants
-                before and after this one.
+            clipped: whether the sensor or the converter was at an end of its range in a scan between the previous and
+                the next monitor instant.
             noise: rms of the noise in the channel's unit, as in daq/info.
         """
         raise NotImplementedError

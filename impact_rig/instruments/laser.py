@@ -39,7 +39,10 @@ INFRARED = 1  # `Range.INFRARED`
 
 @attrs.frozen(kw_only=True)
 class Laser(Instrument):
-    """Settings of the laser sensor on the superior base (Wenglor YP06MGVL80 class), 0 V at the near end (x_1 > 0)."""
+    """Settings of the laser displacement sensor on the superior base (Wenglor YP06MGVL80 class).
+
+    Its output is 0 V at the near end of its range, where x_1 > 0.
+    """
 
     name = "laser"
     place = 1
@@ -101,10 +104,10 @@ class Laser(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
-        """Return the fields of a Range message for one reading of x_1 [m]: `range` is the distance, `distance_m` − x_1.
+        """Return the fields of a `sensor_msgs/msg/Range` message for one reading of x_1 [m].
 
-        If the reading is clipped or out of range, `range` is −Inf if the superior base is too near and +Inf if it is
-        too far (REP-117). `variance` is `noise` squared.
+        The field `range` is the distance `distance_m` − x_1 [m]. If the reading is clipped or out of range, `range` is
+        −Inf on the near side and +Inf on the far side (REP-117). The field `variance` is `noise` squared [m²].
         """
         nearest, farthest = self.distance_m - self.half_range_m, self.distance_m + self.half_range_m
         distance = self.distance_m - reading

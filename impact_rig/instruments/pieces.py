@@ -11,12 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Motion cut into smooth pieces, each a polynomial, from which the sensors' exact response is computed.
+"""Division of a motion into smooth pieces, on which each quantity is approximated by a polynomial in time.
 
-Between two breakpoints, which are events of the motion or steps of its integration, every quantity is smooth. A piece
-that contains breakpoints close together is still smooth enough for a polynomial of eight coefficients (see
-`arithmetic.interpolation`). A contact of 40 µs becomes three pieces, a flight of 10 ms four. That makes some five
-hundred pieces per second, independent of the scan rate.
+The exact response of the sensors is computed from these polynomials of eight coefficients (see
+`arithmetic.interpolation`). The motion is cut at its breakpoints: events of the motion and steps of its integration.
+Breakpoints that are close together may lie within one piece. There are some five hundred pieces per second.
 """
 
 from __future__ import annotations
@@ -34,40 +33,43 @@ PIECES_PER_PERIOD = 2.0
 
 
 class PiecewiseMotion(Protocol):
-    """Interface that instruments need of a motion; `impact_rig.physics.Motion` implements it.
+    """Interface of a motion that the instruments measure; `impact_rig.physics.Motion` implements it.
 
-    Another class can do so as well, such as a motion given by formulas. Quantities of the rig are functions of an
-    instant, given as the number of a tick and the time since its start [s]. A tick takes 10 ms of the scan clock, which
-    is more or less in the motion's time if that clock is wrong. The time since its start is in the motion's time.
+    An instant is given by the number of a tick, and the time since the start of that tick in the motion's time [s]. A
+    tick takes 10 ms of the scan clock, which is more or less in the motion's time if the scan clock is wrong.
     """
 
     @property
     def impacts(self) -> NDArray[np.void]:
-        """Contacts, with fields tick, offset [s], wall, impulse [N s] and duration [s], that have ended in the motion.
+        """Completed contacts, with fields tick, offset [s], wall, impulse [N s] and duration [s].
 
-        `tick` and `offset` are those of the begin of the contact. `wall` is −1 for left, +1 for right. `impulse` is
-        positive, and `duration` is 0 for an instantaneous impact.
+        `tick` and `offset` give the start of the contact. `wall` is −1 for left, +1 for right. `impulse` is positive.
+        `duration` is 0 for an instantaneous impact.
         """
 
     def quantities(
         self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the named quantities, such as `x_1` (SI), at each instant (tick, offset into it), shape (names, n)."""
+        """Return the named quantities, such as `x_1`, at n instants, in SI units, shape (names, n).
+
+        Instant i is `offset_s[i]` seconds after the start of tick number `tick[i]`.
+        """
 
     def polynomials(
         self, names: tuple[str, ...], tick: NDArray[np.int64], start_s: NDArray[np.float64], end_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return polynomials that interpolate the named quantities on n pieces of time, shape (names, n, NODES).
 
-        Each piece lies in one tick, from `start_s` to `end_s` after its start, and may contain breakpoints that are
-        close together. The last axis holds the coefficients of x^0, x^1, …, with x = −1 at the start of the piece and 1
-        at its end. `arithmetic.interpolation.polynomials` can compute them from `quantities`.
+        Each piece lies in one tick, from `start_s` to `end_s` seconds after the start of the tick. The last axis holds
+        the coefficients of x^0, x^1, …, with x = −1 at the start of the piece and 1 at its end. A piece may contain
+        breakpoints that are close together. `arithmetic.interpolation.polynomials` can compute the result from
+        `quantities`.
         """
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the instants (tick, offset [s]), in order, between which every quantity is smooth.
 
-        Starts and ends of ticks need not be included, because every tick is cut there anyway.
+        Starts and ends of ticks need not be included.
         """
 
 
@@ -89,9 +91,9 @@ LIMITS = Fields(Limits, (float, float, float))
 
 
 class Pieces(NamedTuple):
-    """Pieces of some ticks, in order, smooth except for short intervals that are joined.
+    """Pieces of some ticks of a motion, in order of time.
 
-    Times [s] count from the start of the piece's tick.
+    Times [s] count from the start of the tick in which the piece lies.
 
     Attributes:
         first_piece: index of the first piece of each tick, then the number of all pieces; shape (ticks + 1,).
@@ -114,14 +116,14 @@ PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, INTEGERS, float))
 def cut(
     breakpoints: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, ticks: int, limits: Limits
 ) -> Pieces:
-    """Cut some ticks of a motion at its breakpoints into pieces, and return these.
+    """Cut some ticks of a motion into pieces at its breakpoints, and return the pieces.
 
     Args:
-        breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks are ignored.
+        breakpoints: the motion's breakpoints (tick, offset [s]), in order; breakpoints of other ticks are ignored.
         motion_tick: number of the first of these ticks, as the motion counts its ticks.
         ticks: number of ticks.
-        limits: intervals between breakpoints are cut into equal parts of at most `longest_s`; short neighbours are
-            joined while their total length is at most `joined_s`.
+        limits: largest length of a piece, and largest length up to which short neighbouring intervals are joined.
+            Longer intervals are cut into equal parts.
     """
     tick, offset = breakpoints
     room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * len(tick)
@@ -135,10 +137,10 @@ def cut(
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
 def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces: Pieces) -> int:
-    """Cut as many ticks as `pieces.first_piece` has room for; write the pieces into `pieces` and return their number.
+    """Cut ticks of a motion into pieces, write the pieces into `pieces`, and return their number.
 
-    The caller provides arrays that are long enough. Pieces are the intervals between the breakpoints (tick, offset),
-    divided and joined as `limits` says. `motion_tick` is the number, counted in the motion, of the first tick.
+    The arrays in `pieces` must be long enough; `first_piece` has one element more than there are ticks. `motion_tick`
+    is the number of the first tick in the motion.
     """
     tick_s, longest_s = limits.tick_s, limits.longest_s
     first, start, end, piece_tick = pieces.first_piece, pieces.start, pieces.end, pieces.tick
@@ -169,11 +171,10 @@ def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces
 
 @kernel
 def _next_break(offset: Reals, next_break: int, breaks_end: int, from_s: float, limits: Limits) -> tuple[int, float]:
-    """Return the index of the first breakpoint after the next piece, and that piece's end in its tick [s].
+    """Return the index of the first breakpoint after a piece, and the end of the piece in its tick [s].
 
-    The piece starts `from_s` seconds after the start of its tick. Without a breakpoint it ends with the tick. It joins
-    short intervals between breakpoints up to the length `limits.joined_s`. The caller divides a piece that is longer
-    than `limits.longest_s`.
+    The piece starts `from_s` seconds after the start of its tick. It ends at the next breakpoint or with the tick.
+    Short intervals are joined to one piece up to the length `limits.joined_s`.
     """
     tick_s, joined_s = limits.tick_s, limits.joined_s
     while next_break < breaks_end and offset[next_break] <= from_s:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Registry of the instruments: every class that a module of this folder defines, by channel name and in scan order."""
+"""Registry of the instruments: the instrument classes defined in this folder, by channel name in scan order."""
 
 from __future__ import annotations
 

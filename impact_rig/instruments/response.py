@@ -67,7 +67,7 @@ _SILENT = 45.0  # exp(−45) = 3e-20
 
 @kernel
 def decayed(re: float, im: float, seconds: float) -> tuple[float, float]:
-    """Return real and imaginary part of exp((re + j im) seconds), by which a mode with this pole decays."""
+    """Return exp((re + j im) seconds), the decay of a mode with the pole re + j im, as real and imaginary part."""
     envelope = exp(re * seconds)
     if im == 0.0:
         return envelope, 0.0
@@ -77,10 +77,7 @@ def decayed(re: float, im: float, seconds: float) -> tuple[float, float]:
 
 @kernel
 def set_period(modes: Records, period_s: float) -> None:
-    """Set in each mode the factor by which its free response decays in a scan period, and when it becomes negligible.
-
-    After the number `rings_for` of scans, the free response is less than exp(−45) of its start.
-    """
+    """Set each mode's decay in a scan period [s], and the number of periods for which its free response matters."""
     for k in range(modes.shape[0]):
         mode = modes[k]
         mode.decay_re, mode.decay_im = decayed(mode.pole_re, mode.pole_im, period_s)
@@ -117,10 +114,11 @@ def output_at_start(modes: Records) -> float:
 
 @kernel
 def _particular(mode: Record, coefficients: Reals, half: float, psi: Reals) -> tuple[float, float, float, float]:
-    """Fill psi with a particular solution ψ of a mode's equation under the input S on a piece, as coefficients of x^k.
+    """Fill `psi` with the polynomial coefficients of a particular solution ψ of a mode's equation on a piece.
 
-    psi has the shape (2, SERIES_TERMS), real and imaginary part; `half` is the half length of the piece [s]. Returns
-    real and imaginary part of the solution at the start of the piece, x = −1, then at its end, x = 1.
+    `coefficients` is the polynomial of the sensor's input, and `half` is the half length of the piece [s]. `psi` has
+    the shape (2, SERIES_TERMS), for real and imaginary part. The function returns real and imaginary part of ψ at the
+    start of the piece, then at its end.
     """
     pole_half_re, pole_half_im = mode.pole_re * half, mode.pole_im * half
     re, im = 0.0, 0.0
@@ -161,12 +159,12 @@ def _particular(mode: Record, coefficients: Reals, half: float, psi: Reals) -> t
 def through_piece(
     modes: Records, coefficients: Reals, length: float, first_and_spacing: Reals, scratch: Reals, out: Reals
 ) -> None:
-    """Advance the modes of a channel through a piece; fill `out` with the sensor's output at the conversions in it.
+    """Advance the modes of a channel through a piece, and fill `out` with the sensor's output at its conversions.
 
     Args:
         modes: modes of one channel, to which `set_period` has applied the time between conversions.
-        coefficients: coefficients of the polynomial S, the input: of x^0, x^1, … with x = −1 … 1 on the piece, shape
-            (NODES,).
+        coefficients: polynomial coefficients of the sensor's input, constant first, shape (NODES,). The variable is −1
+            at the start of the piece and 1 at its end.
         length: length of the piece [s].
         first_and_spacing: time from the start of the piece to its first conversion, and between conversions [s].
         scratch: scratch memory, shape (3, SERIES_TERMS).
@@ -197,9 +195,9 @@ def through_piece(
 
 @kernel
 def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> float:
-    """Fill `out` with a polynomial at x = first, first + spacing, …; return the magnitude of its largest coefficient.
+    """Fill `out` with the values of a polynomial at x = first, first + spacing, ….
 
-    `total` holds its coefficients, constant first.
+    `total` holds its coefficients, constant first. The result is the magnitude of the largest coefficient.
     """
     largest, beyond = 0.0, 0.0
     for k in range(SERIES_TERMS):
@@ -224,10 +222,9 @@ def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> 
 
 @kernel
 def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
-    """Add a mode's free response to `out`, the outputs at a piece's conversions, at most to the first `rings_for`.
+    """Add a mode's free response to `out`, the outputs at the conversions in a piece, unless it is negligible.
 
-    `largest` is the result of `_fill_polynomial`, a scale of the output without free responses. Nothing is added if
-    the free response at the first conversion is below the rounding error of `largest`.
+    `largest` is the result of `_fill_polynomial`, a scale of the output.
     """
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:

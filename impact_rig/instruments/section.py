@@ -39,9 +39,10 @@ from impact_rig.topics import SCAN as SCAN_TOPIC
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the attributes of the section `instruments`: `own`, with one per registered instrument behind `own[0]`.
+    """Return the attributes of the class `Instruments`: its own, and one for each registered instrument.
 
-    attrs calls this while it makes the class `Instruments`, so later registrations have no effect.
+    The attributes of the instruments follow the first attribute of `own`. attrs calls this function when it creates the
+    class.
     """
     fields = {name: attrs.field(factory=kind, type=kind) for name, kind in INSTRUMENTS.items()}
     return [own[0], *attrs.fields(attrs.make_class("_", fields, kw_only=True)), *own[1:]]
@@ -49,9 +50,9 @@ def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[a
 
 @attrs.frozen(kw_only=True, field_transformer=_with_instruments)
 class Instruments:
-    """Section `instruments` of a configuration: `ideal`, converter, planned faults, and settings of the instruments.
+    """Section `instruments` of a configuration: settings of the converter, the faults and each instrument.
 
-    Each registered instrument has a field with the name of its channel and its default settings.
+    Each registered instrument has a field with the name of its channel.
     """
 
     ideal: bool = switch(False, "Ideal instruments: no noise, calibration error, lag, skew, quantisation or range.")
@@ -91,7 +92,8 @@ class Instruments:
 def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ...]:
     """Return the columns of a scan of these instruments: time, one column for each instrument, status.
 
-    Bit j of the status, 1 << j, is set if the instrument number j of these, counted from 0, was at an end of its range.
+    Bit j of the status (1 << j) belongs to instrument number j of these, counted from 0. It is set if that instrument
+    was at an end of its range.
     """
     time, status = SCAN_TOPIC.fields
     return (time, *(instrument.column() for instrument in fitted), status)

@@ -113,10 +113,7 @@ class Transfer:
         return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain)
 
     def response(self, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-        """Return the frequency response H(j 2π f), in the shape of the frequencies.
-
-        It serves analyses and checks of the readings; the readings themselves are computed from `modes`.
-        """
+        """Return the frequency response H(j 2π f), in the shape of the frequencies."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None]
         above, below = (np.array([complex(place) for place in places]) for places in (self.zeros, self.poles))
         ratio = float(self.gain) * np.prod(s - above, axis=-1) / np.prod(s - below, axis=-1)
@@ -126,14 +123,14 @@ class Transfer:
     def delay_s(self) -> float:
         """Return the delay at low frequency [s], −Σ Re(1/p) over the poles p.
 
-        This is the delay only of a low-pass without zeros, which is not checked.
+        The result is correct only for a low-pass without zeros. This is not checked.
         """
         return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
 
     def modes(self) -> SensorModes:
-        """Return the partial fractions of the transfer function, whose terms are its modes.
+        """Return the partial fractions of the transfer function.
 
-        Poles that are equal or nearly so are moved apart. There must be more poles than zeros, which is not checked.
+        Poles that are equal or nearly equal are moved apart. There must be more poles than zeros, which is not checked.
         """
         return _modes(self)
 
@@ -153,7 +150,10 @@ def _modes(transfer: Transfer) -> SensorModes:
 
 
 def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
-    """Return the poles with imaginary part >= 0, moved apart so that no two are closer than `_DISTINCT`, relatively."""
+    """Return the poles with imaginary part >= 0, moved apart where they are equal or nearly equal.
+
+    Their relative distances are then at least `_DISTINCT`.
+    """
     upper: list[Complex] = []
     for pole in poles:
         if pole.imag < 0:
@@ -275,10 +275,10 @@ class Sensor:
         return max(min(ends), self.low), min(max(ends), self.high)
 
     def behind(self, adc: Adc) -> Sensor:
-        """Return the sensor together with the anti-alias filter of the board `adc`; unchanged if the board has none.
+        """Return this sensor combined with the anti-alias filter of the board `adc`; unchanged if the board has none.
 
-        The filter becomes part of the sensor's dynamics, so linearity error, resolution and limits of the range act
-        after it. The noise keeps its density, and is low-passed at the lower of the two corners.
+        The filter becomes part of the sensor's dynamics, so linearity error, resolution and range limits apply after
+        the filter. The noise keeps its density up to the lower of the two corner frequencies.
         """
         if adc.anti_alias == "none":
             return self

@@ -13,15 +13,15 @@
 # limitations under the License.
 """Compiled functions: marked in the sources, and built into one library by `python -m impact_rig.kernels.build`.
 
-The decorator `kernel` marks a function that only compiled code calls. The decorator `entry` marks one that Python
-calls, and states the types of its arguments. One of three modes is chosen when this module is imported:
+The decorator `kernel` marks a function that only compiled code calls. The decorator `entry` marks a function that
+Python calls, and declares the types of its arguments. One of three modes is chosen when this module is imported:
 
     library   the shared library, if it exists and was built from these sources; Numba is not imported
-    jit       Numba compiles each function at its first call: chosen at installation, or while a kernel is edited
-    plain     the functions themselves: the same bits, about a thousand times slower
+    jit       Numba compiles each function at its first call
+    plain     the Python functions themselves: the same results, about a thousand times slower
 
-The environment variable `IMPACT_RIG_KERNELS` selects a mode; by default it is the first that is available. `records`
-makes arrays whose elements have named fields, in all three modes. See docs/explanation/kernels.md.
+The environment variable `IMPACT_RIG_KERNELS` selects a mode. By default, the first mode that is available is chosen.
+`records` makes arrays whose elements have named fields, in all three modes. See docs/explanation/kernels.md.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class Array(NamedTuple):
-    """Type of an argument, as `entry` takes it: an array in C order.
+    """Declared type of an argument of an `entry`: an array in C order.
 
     Attributes:
         dtype: type of its elements.
@@ -66,7 +66,7 @@ class Array(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """Type of an argument, as `entry` takes it: a NamedTuple.
+    """Declared type of an argument of an `entry`: a NamedTuple.
 
     Attributes:
         of: class of the tuple.
@@ -78,7 +78,7 @@ class Fields(NamedTuple):
 
 
 class RecordType(NamedTuple):
-    """Type of an argument of a `Function`, which only kernels call: one record, passed by its address.
+    """Declared type of an argument of a `Function`: one record, passed by its address.
 
     Attributes:
         dtype: type of the record.
@@ -88,7 +88,9 @@ class RecordType(NamedTuple):
 
 
 class Function(NamedTuple):
-    """Type of an argument, as `entry` takes it: a function, passed as a `Pointer`, or Numba's callback in mode `jit`.
+    """Declared type of an argument of an `entry`: a function.
+
+    It is passed as a `Pointer`, or as Numba's callback in mode `jit`.
 
     Attributes:
         arguments: types of its arguments.
@@ -175,9 +177,10 @@ def digest(path: Path) -> str:
 
 
 def code_digest(path: Path) -> str:
-    """Return the digest of the code in a Python file, without layout, comments and docstrings; of others, `digest`.
+    """Return the digest of the code in a Python file, without layout, comments and docstrings.
 
-    Python versions represent code differently, so equal digests prove equal code, but not the other way round.
+    Other files give the same result as `digest`. Equal digests prove equal code. Different versions of Python may give
+    different digests of the same code.
     """
     if path.suffix != ".py":
         return digest(path)
@@ -192,15 +195,14 @@ def code_digest(path: Path) -> str:
 
 
 def has_code_of(path: Path, stamp: Sequence[str]) -> bool:
-    """Return whether a file exists and has the content or the code of `stamp`, its digests at the time of a build."""
+    """Return whether a file exists and still has the content or the code of `stamp`, its digests at a build."""
     return path.exists() and (digest(path) == stamp[0] or code_digest(path) == stamp[1])
 
 
 def is_cut_off(path: Path) -> bool:
-    """Return whether an ELF file (64 bit, little-endian) ends before its section headers, which linkers write last.
+    """Return whether an ELF file (64 bit, little-endian) is incomplete: it ends before its section headers.
 
-    Any other file, or one below 64 bytes, gives False. A library that was copied in part is not loaded, because the
-    system's loader does not check this: a signal would end the process.
+    The result is False for any other file. Loading an incomplete library could end the process by a signal.
     """
     with path.open("rb") as file:
         head = file.read(64)
@@ -212,10 +214,10 @@ def is_cut_off(path: Path) -> bool:
 
 
 def library() -> ModuleType | None:
-    """Return the library of kernels if it exists, can be loaded and was built from the present sources; otherwise None.
+    """Return the compiled library of kernels, or None if it cannot be used.
 
-    If the library exists but cannot be used, a line on stderr says why. This process then runs in another mode or, if
-    the environment variable requires the library, the import of this module fails.
+    A usable library exists, can be loaded and was built from the present sources. If a library exists but is not
+    usable, a line on stderr gives the reason.
     """
     spec = importlib.util.find_spec(f"{__name__}._library")
     if spec is None:
@@ -263,9 +265,9 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def kernel(function: FunctionT) -> FunctionT:
-    """Mark a function that compiled functions call.
+    """Mark a function that compiled functions call, and return it.
 
-    The function itself is returned, or in mode `jit` a version that is compiled at its first call.
+    In mode `jit`, the result is a version of the function that Numba compiles at its first call.
     """
     kernels.append(function)
     return _compiled(function)
@@ -301,16 +303,12 @@ def _compiled(function: FunctionT) -> FunctionT:
 
 
 def address(name: str) -> int:
-    """Return the address of the library's function with this name in Python (not in C), 0 without it or a library."""
+    """Return the address of the library's function `name`, such as `physics.event_loop.run`; 0 if there is none."""
     return int(_LIBRARY.address(name)) if _LIBRARY is not None else 0
 
 
 def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
-    """Return how the library unpacks arguments of these types, as a text of codes and the dtypes of the arrays.
-
-    A code is a letter, an array's number of dimensions, or `(` and the number of fields before those of a tuple; see
-    library.c.
-    """
+    """Return how the library unpacks arguments of these types: codes (see library.c) and the arrays' dtypes."""
     letters: list[str] = []
     dtypes: list[np.dtype[Any]] = []
     for one in arguments:
@@ -330,18 +328,20 @@ def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
 
 
 def codes(kind: Any) -> str:
-    """Return the letter of a type, as in `plan`: `i` int, `b` bool, `f` float; of a tuple all letters, of None none."""
+    """Return the letter of a type: `i` for int, `b` for bool, `f` for float.
+
+    A tuple of types gives all their letters. None gives an empty text.
+    """
     if kind is None:
         return ""
     return "".join(map(codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]
 
 
 def records(count: int, kind: np.dtype[np.void]) -> Any:
-    """Return `count` records of zeros for kernels, which read and write a field as `records[i].field`.
+    """Return `count` records of zeros, whose fields kernels read and write as `records[i].field`.
 
-    Code outside kernels uses `records["field"][i]`: only in mode `plain` the result is a recarray. Compiled code also
-    accepts an ordinary array, and passing that takes a third of the time. An assertion rejects a field that has the
-    name of an attribute of NumPy's records (real, put, round, …).
+    Code outside kernels uses `records["field"][i]`, which works in every mode. An assertion rejects a field that has
+    the name of an attribute of NumPy's records (real, put, round, …).
     """
     assert _has_free_names(kind)
     return for_kernels(np.zeros(count, kind))
@@ -365,8 +365,7 @@ def for_kernels(rows: NDArray[np.void]) -> Any:
 def with_fields(rows: NDArray[np.void]) -> Any:
     """Return a recarray of the same memory, whose elements have their fields as attributes.
 
-    In mode `plain`, the elements have a class with one property per field. NumPy's own record takes twenty times as
-    long per field, which would be nearly all the time of an interpreted kernel.
+    In mode `plain`, the elements have a class of this package, which is much faster than NumPy's own record.
     """
     found = rows.view(np.recarray)
     if MODE == "plain":
@@ -376,7 +375,7 @@ def with_fields(rows: NDArray[np.void]) -> Any:
 
 @functools.cache
 def _record(kind: np.dtype[np.void]) -> type[np.record]:
-    """Return the class of a record type's elements in plain Python, with a property for each field."""
+    """Return a class for the elements of a record array in mode `plain`, with a property for each field."""
 
     def field(name: str) -> property:
         assert kind.fields is not None

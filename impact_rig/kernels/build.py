@@ -17,17 +17,13 @@
     impact_rig.o       the same kernels for programs in C, without Python
     impact_rig.h       declarations of the kernels for C
 
-If the files next to the sources are up to date, they are kept, and copied to the folder if one is given.
-`--machine aarch64` builds for another machine, with the cross compiler that the environment variable CC names.
-`--keep DIR` keeps the translated kernels, which serve every machine. A release contains the kernels as assembly, which
-needs no translation.
+Up-to-date files next to the sources are kept, and copied to the folder if one is given. `--machine aarch64` builds for
+another machine, with the cross compiler that the environment variable CC names. `--keep DIR` keeps the translated
+kernels, which serve every machine. A release contains the kernels as assembly, which needs no translation.
 
-Numba translates each entry, and the functions it calls, to LLVM code once, for the oldest CPU of this kind of machine
-(the arithmetic is portable, so the bits are the same on all). The kernels have two parts, each translated by its own
-process to one LLVM module, which LLVM optimises as a whole (`emit`). The system's C compiler links the parts with
-kernels.c and, for Python, with library.c.
-
-The build uses parts of Numba that are not its public interface, so it pins Numba's version.
+Numba translates the kernels to LLVM code for the oldest supported CPU, in two parts at the same time. LLVM optimises
+each part as a whole (`emit`). The system's C compiler links the parts with kernels.c and, for Python, with library.c.
+The build uses Numba's internals, so it needs one exact version of Numba.
 """
 
 from __future__ import annotations
@@ -121,10 +117,9 @@ def compiler() -> list[str]:
 
 
 def symbol(name: str) -> str:
-    """Return the name of a kernel in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
+    """Return the name of a kernel in C, such as `ir_physics_event_loop_run_slots` for `physics.event_loop.run`.
 
-    The suffix `_slots` says that the arguments are passed in slots (library.c). A name that begins with `force.` gets
-    no suffix, because exported force functions take their arguments directly.
+    Names that begin with `force.` get no suffix `_slots`, because force functions take their arguments directly.
     """
     plain = f"ir_{name.replace('.', '_')}"
     return plain if name.startswith("force.") else f"{plain}_slots"
@@ -138,18 +133,17 @@ def is_built() -> bool:
 def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) -> None:
     """Build library, object file and header of the kernels into a folder, by default next to the sources.
 
-    The progress is printed. Existing files are replaced; if the build fails, they stay.
+    The progress is printed. Existing files are replaced only if the build succeeds.
 
     Args:
         folder: destination of the files.
         machine: machine to build for, named as by `platform.machine`; default: `this_machine`.
-        keep: folder for the translated kernels (LLVM code). Those in it are used if the sources have not changed;
-            otherwise new ones are written into it. Default: a temporary folder. Unused with the assembly of a release.
+        keep: folder for the translated kernels (LLVM code), which are used again if the sources have not changed;
+            default: a temporary folder. Unused with the assembly of a release.
 
     Raises:
-        SystemExit: the machine is not supported, the C compiler is missing or fails, the kernels cannot be translated,
-            or Python cannot load the new library (tried if it is for this machine). Without the assembly of a release,
-            the translation needs the pinned version of Numba.
+        SystemExit: the machine is not supported, the C compiler is missing or fails, the kernels cannot be translated
+            (for example without the pinned version of Numba), or Python cannot load the new library.
     """
     began = time.monotonic()
     machine = machine or this_machine()
@@ -181,7 +175,7 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
 
 
 def translated(folder: Path) -> Path:
-    """Translate the present kernels to LLVM code in `folder`, unless it contains that already, and return `folder`.
+    """Translate the kernels to LLVM code in `folder`, unless their code is there already, and return `folder`.
 
     Raises:
         SystemExit: the pinned version of Numba is not installed, or the translation fails.
@@ -211,11 +205,10 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
 
 
 def write_assembly(keep: Path, folder: Path) -> None:
-    """Create `folder` and write the kernels as assembly into it, from which a C compiler builds them without Numba.
+    """Create `folder` and write the kernels into it as assembly, from which a C compiler builds them without Numba.
 
-    There is one file for each part of the kernels and each machine of `RELEASED`, in addition to the names and C
-    declarations of each part and the digests of the sources. `folder` must not exist yet. `keep` is the folder for the
-    translated kernels, see `translated`.
+    There is one assembly file for each part of the kernels and each machine of `RELEASED`. `folder` must not exist yet.
+    `keep` is the folder for the translated kernels (see `translated`).
     """
     found = translated(keep)
     folder.mkdir()
@@ -245,10 +238,10 @@ def write_header(found: Path, path: Path) -> None:
 
 
 def write_tables(found: Path, work: Path) -> list[str]:
-    """Write `tables.c` into `work`: the address of each kernel by its name, which kernels.c and library.c need.
+    """Write the C file `tables.c` into `work`: a table of the kernels' names and addresses. Return the names.
 
     The file also contains the version of the package and the digests of the sources. `found` is the folder with the
-    translated kernels (LLVM code or assembly), whose names are returned.
+    translated kernels (LLVM code or assembly).
     """
     names = [line for part in PARTS for line in (found / f"{part}.names").read_text().splitlines()]
     declared = "\n".join(f"extern {_prototype(name)};" for name in names)
@@ -272,7 +265,7 @@ const char kernel_version[] = {json.dumps(__version__)};
 
 
 def _check_loads(path: Path) -> None:
-    """Check in a separate process that a library can be loaded: the linker accepts one with undefined functions.
+    """Check in a separate process that Python can load a library, because the linker accepts undefined functions.
 
     Raises:
         SystemExit: the library cannot be loaded.
@@ -351,8 +344,7 @@ def _compile(arguments: list[str]) -> None:
 def main() -> None:
     """Run the command of this module: build the kernels into a folder.
 
-    For this machine, kernels of the package that are up to date are not built again but copied to the folder, unless it
-    is their own.
+    If the package's own kernels are up to date and made for the requested machine, they are copied instead of built.
     """
     parser = argparse.ArgumentParser(
         description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"

@@ -11,10 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Emission of machine code for a target, from the linked code of the kernels that `translate` writes.
+"""Generation of machine code for a target from the LLVM code that `translate` writes.
 
-The arithmetic is portable: no target may contract a product and a sum to one rounding. None does, because Numba marks
-nothing as fast and each target is the baseline CPU of its kind.
+The results are the same on all targets, because no target combines a product and a sum into one rounding.
 """
 
 from __future__ import annotations

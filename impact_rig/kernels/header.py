@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""C header of the library, generated from the declarations: every record as a struct, every entry as a function.
+"""Generator of the C header of the library: every record type as a struct, every entry as a function.
 
-The description of a field, with its unit, is the comment on the same line of the Python source; for the rows of a topic
-it is the description of their columns.
+A comment describes each field of a struct. It is copied from the comment in the Python source or, for rows of a topic,
+from the description of the column.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _C = {
 
 
 def header(entries: Mapping[str, kernels.Entry]) -> str:
-    """Return the C declarations of entries, given by name, and of the record types that they use."""
+    """Return the C declarations of the given entries (by name), and of the record types that the entries use."""
     structs: dict[np.dtype[Any], str] = {}
     functions = [_function(name, one, structs) for name, one in sorted(entries.items())]
     declared = "\n".join(_struct(dtype, name) for dtype, name in structs.items())
@@ -96,7 +96,7 @@ def constants() -> str:
 
 
 def _names() -> Iterator[tuple[np.dtype[Any], str, dict[str, str]]]:
-    """Yield each record type in each loaded module, its name in C without `ir_`, and descriptions of fields, if any."""
+    """Yield (record type, name in C without `ir_`, description by field) for the record types of all loaded modules."""
     for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
         for name, value in vars(module).items():
             if isinstance(value, np.dtype) and value.names:
@@ -151,7 +151,7 @@ static inline int32_t {symbol}({", ".join(parameters)})
 
 
 def _word(name: str) -> str:
-    """Return a name for C: with an underscore added if it is one of the keywords of C in `_TAKEN`."""
+    """Return a name that is valid in C: a keyword in `_TAKEN` gets an underscore at its end."""
     return f"{name}_" if _TAKEN.fullmatch(name) else name
 
 
@@ -164,10 +164,10 @@ def _pieces(name: str, kind: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _append(name: str, kind: Any, parameters: list[str], slots: list[str], structs: dict[np.dtype[Any], str]) -> None:
-    """Append the C parameters for one argument, or field of a tuple, of a kernel, and the C expressions for its slots.
+    """Append C parameters for one argument of a kernel to `parameters`, and C expressions for its slots to `slots`.
 
-    Slots are the 64-bit words in which a kernel takes its arguments, see library.c.
-    A record type that the argument needs is added to `structs` (type -> name).
+    Slots are the 64-bit words in which a kernel takes its arguments (see library.c). A record type that the argument
+    needs is added to `structs` (type -> name).
     """
     if isinstance(kind, Function):
         parameters.append(f"void *{name}")

@@ -54,10 +54,10 @@ def signature(kind: Function) -> Any:
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Return a version of the function that Numba compiles at its first call and keeps on disk.
+    """Return a version of a function that Numba compiles at its first call.
 
-    Later processes load the compiled code from disk, until a source file of the package changes. A function that was
-    not defined in a file is not kept.
+    The compiled code is cached on disk until a source file of the package changes. A function that is not defined in a
+    file is not cached.
     """
     kept = Path(function.__code__.co_filename).is_file()  # code that was typed in has no file for the cache
     return _kept(lambda: njit(cache=kept, **OPTIONS)(function))
@@ -69,9 +69,9 @@ def pointer(function: Callable[..., Any], kind: Function) -> Any:
 
 
 def _kept(compile_: Callable[[], Any]) -> Any:
-    """Call `compile_` while Numba's cache on disk is a folder that only the present sources of the package use.
+    """Call `compile_` and return its result, with a cache folder of Numba that only the present sources use.
 
-    With its usual folder, Numba would not notice changes in the functions that a cached function calls.
+    In its usual folder, Numba would not notice changes in the functions that a cached function calls.
     """
     before, config.CACHE_DIR = config.CACHE_DIR, _directory()
     try:

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Translation of one part of the kernels into linked LLVM code; it runs in a separate process, started by `build`.
+"""Translation of one part of the kernels into linked LLVM code, as a separate process that `build` starts.
 
-This is the only module that uses Numba's internals. Three things differ from Numba's own compilation: code is made for
-the oldest supported CPU, nothing is optimised before all functions are linked, and each entry gets a wrapper. The
-wrapper, `int32_t name(uint64_t *in, uint64_t *out)`, takes the arguments from slots (see library.c).
+This is the only module that uses Numba's internals. Code is made for the oldest supported CPU, and not optimised before
+all functions are linked. Each entry gets a wrapper, `int32_t name(uint64_t *in, uint64_t *out)`, that takes the
+arguments from slots (see library.c).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Library(AOTCodeLibrary):  # type: ignore[misc]  # Numba is untyped
         pass
 
     def finalize(self) -> None:
-        """Mark the container as complete without linking the functions it calls: `_linked` does that once, for all."""
+        """Mark the container as complete without linking the functions that it calls; `_linked` links them later."""
         self._finalized = True
 
 
@@ -66,12 +66,15 @@ class Context(cpu.CPUContext):  # type: ignore[misc]
     """Numba's compilation target, except that functions compiled for it are not loaded into this process."""
 
     def get_executable(self, _library: Any, _fndesc: Any, _environment: Any) -> Any:
-        """Return a unique object instead of an executable function; Numba uses it as the key of the function's code."""
+        """Return a unique object instead of an executable function, because nothing is loaded into this process."""
         return [].append
 
 
 def main() -> None:
-    """Translate one part of the kernels: the command-line arguments are its name and the folder for the results."""
+    """Translate one part of the kernels.
+
+    The command-line arguments are the name of the part and the folder for the results.
+    """
     part, work = sys.argv[1], Path(sys.argv[2])
     for module in PARTS[part]:
         importlib.import_module(f"impact_rig.{module}")
@@ -114,7 +117,8 @@ def _let_numba_see_kernels() -> None:
 def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
     """Translate an entry or exported function, and return Numba's container with its code.
 
-    In the container, the function has its name in C (`symbol`). The container refers to those of all functions called.
+    In the container, the function has its name in C (`symbol`). The container refers to the containers of all functions
+    that the function calls.
     """
     flags = compiler.Flags()
     flags.no_cpython_wrapper, flags.no_cfunc_wrapper = True, isinstance(one, Entry)
@@ -141,9 +145,9 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
 def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
     """Define in `module` a C function `name` that takes the arguments of a kernel from slots and calls the kernel.
 
-    Slots are words of 64 bits (library.c). The function's first argument is the address of those with the arguments,
-    its second that of those into which it stores the results. It returns 0 or the status of a failure. `described` is
-    Numba's description of the compiled kernel.
+    Slots are words of 64 bits (library.c). The C function gets the address of the slots with the arguments and the
+    address of the slots for the results. It returns 0, or the status of a failure. `described` is Numba's description
+    of the compiled kernel.
     """
     words = WORD.as_pointer()
     around = ir.Function(module, ir.FunctionType(STATUS, [words, words]), name)
@@ -174,9 +178,10 @@ def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define in `module` a C function `name` that calls the C wrapper which Numba has made for a function.
+    """Define in `module` a C function `name` that calls the C wrapper made by Numba for a compiled function.
 
-    `described` is Numba's description of the function. The purpose is the name: Numba's own name is not predictable.
+    `described` is Numba's description of that function. The new function has a predictable name; Numba's wrapper does
+    not.
     """
     kinds = [context.get_value_type(one) for one in described.argtypes]
     kind = ir.FunctionType(context.get_value_type(described.restype), kinds)
@@ -188,7 +193,7 @@ def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _collect(library: Any, found: dict[int, Any]) -> None:
-    """Add a container of code, and all containers that it refers to directly or indirectly, to `found` (by id)."""
+    """Add a container of code to `found` (by id), and all containers that it refers to, directly or indirectly."""
     if id(library) not in found:
         found[id(library)] = library
         for one in library._linking_libraries:

@@ -13,6 +13,5 @@
 # limitations under the License.
 """ROS 2 nodes that publish the results of the rig, the analysis and the recorder.
 
-The nodes connect the packages of simulation, analysis and recording to ROS and contain none of their logic. Those
-packages do not import rclpy.
+The nodes only connect the packages of simulation, analysis and recording to ROS. Those packages do not import rclpy.
 """

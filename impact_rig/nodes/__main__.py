@@ -13,8 +13,8 @@
 # limitations under the License.
 """Programs of the nodes: `python -m impact_rig.nodes rig --ros-args ...`, and the console scripts such as `rig_node`.
 
-Heavy modules (rclpy, compiled code) are imported last: the signal handlers and the watch on the parent process already
-work while they load.
+Heavy modules (rclpy, compiled code) are imported last. Signals and the end of the parent process are therefore handled
+even while these modules load.
 """
 
 from __future__ import annotations
@@ -124,10 +124,10 @@ rig, analysis, recorder, plot = (functools.partial(_run, node) for node in NODES
 
 
 def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
-    """Run the program of a node: show its help if requested, otherwise call `main`, which does the heavy imports.
+    """Run the program of a node: show its help if requested, otherwise call `main`.
 
-    On SIGINT or SIGTERM, the program cleans up and ends with exit code 0. If a launch file of this project or
-    `impact_rig.client.Processes` started it, it also ends when the process that started it is gone.
+    On SIGINT or SIGTERM, the program cleans up and ends with exit code 0. A program that a launch file of this project
+    or `impact_rig.client.Processes` has started also ends when its parent process is gone.
     """
     if show_help(node, use, sys.argv[1:]):
         return

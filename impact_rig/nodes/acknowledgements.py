@@ -13,11 +13,10 @@
 # limitations under the License.
 """Flow control for `daq/scan`: subscriber discovery, the window of unacknowledged blocks, and acknowledgements.
 
-A block is one message on `daq/scan`: the scans of 10 ms by default. A rig that is not paced by the wall clock may be
-only a limited number of blocks (the window) ahead of its slowest peer. Peers are the nodes that the rig must wait for;
-it finds their subscriptions in the ROS graph. An acknowledgement (a message on `daq/ack`) covers all blocks up to its
-stamp. A peer acknowledges a single block at once, a burst of blocks together, and in real time every 50 ms. `Session`
-decides what to do about a peer that does not acknowledge.
+A block is one message on `daq/scan`, by default the scans of 10 ms. Peers are the nodes that the rig must wait for. A
+rig that is not paced by the wall clock may be only a limited number of blocks (the window) ahead of its slowest peer.
+An acknowledgement is a message on `daq/ack` that covers all blocks up to its stamp. `Session` decides what to do about
+a peer that does not acknowledge.
 """
 
 from __future__ import annotations
@@ -71,16 +70,16 @@ class _Reader:
 
 
 class AckWindow:
-    """Record of the blocks that each reader has acknowledged; `room` is how many more blocks the rig may publish.
+    """Record of the blocks that each reader has acknowledged, which limits how many blocks the rig may publish.
 
-    A block is one message on `daq/scan`. A reader acknowledges by the stamp of the last block that it has processed,
-    which covers all earlier blocks. Stamps are converted to numbers of blocks since the start of this record. The rig
-    waits for its slowest peer when there is no room; the other readers are only observed.
+    A block is one message on `daq/scan`. An acknowledgement contains the stamp of a block, and covers all earlier
+    blocks. The rig may publish `room` more blocks. Readers that are no peers are only observed.
 
     Args:
         peers: node names of the peers, which they also use in their acknowledgements.
         window: maximum number of published blocks that the slowest peer has not acknowledged.
-        timeout_ns: time [ns] after which a peer that has blocks to acknowledge and acknowledges none counts as silent.
+        timeout_ns: time [ns] after which a peer counts as silent, if it has blocks to acknowledge but acknowledges
+            none.
         clock: monotonic clock [ns] for the timeout.
     """
 
@@ -96,7 +95,7 @@ class AckWindow:
 
     @property
     def readers(self) -> tuple[str, ...]:
-        """Names of the peers, and of all other nodes whose acknowledgements are accepted."""
+        """Names of all nodes whose acknowledgements are accepted: the peers and the observed readers."""
         return tuple(self._readers)
 
     @property
@@ -105,9 +104,10 @@ class AckWindow:
         return self._stamps[-1] if self._stamps else None
 
     def set_peers(self, peers: Iterable[str]) -> None:
-        """Replace the peers that the rig waits for; a new peer need not acknowledge blocks published before.
+        """Replace the peers that the rig waits for.
 
-        Any other reader, such as a former peer, is observed further if it has acknowledged a block, otherwise dropped.
+        A new peer need not acknowledge blocks that were published before. A former peer is still observed if it has
+        acknowledged a block. Otherwise it is dropped.
         """
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
@@ -138,11 +138,11 @@ class AckWindow:
     def acknowledge(self, name: str, stamp_ns: int) -> bool:
         """Count all blocks up to this stamp [ns of rig time] as acknowledged by the reader `name`.
 
-        The rig waits again for a peer that it has continued without (see `waive`).
+        If `waive` let the rig continue without this peer, the rig now waits for it again.
 
         Returns:
-            False if the acknowledgement is invalid and ignored: the reader is neither a peer nor watched, or the stamp
-            is later than that of the newest published block, or no block was published yet.
+            Whether the acknowledgement is valid. An invalid one is ignored: the reader is unknown, the stamp is later
+            than that of the newest published block, or no block was published yet.
         """
         reader = self._readers.get(name)
         if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
@@ -157,8 +157,7 @@ class AckWindow:
     def room(self) -> int:
         """Return how many more blocks may be published before the slowest peer must acknowledge one.
 
-        Without peers it is the whole window. It is negative if more blocks are outstanding: after the window was
-        reduced, or when a peer that the rig has continued without (see `waive`) acknowledges again.
+        Without peers, the result is the whole window. It can be negative, for example after the window was reduced.
         """
         return self.window - self.outstanding()
 
@@ -167,10 +166,10 @@ class AckWindow:
         return max((self._owed(self._readers[name]) for name in self.peers), default=0)
 
     def behind(self) -> dict[str, int]:
-        """Return, by name of each reader (peer or not), how many published blocks it has not acknowledged.
+        """Return the number of published blocks that each reader, peer or not, has not acknowledged, by name.
 
-        Blocks that `forgive` or `set_peers` has exempted do not count. It is 0 for a peer that the rig has continued
-        without (see `waive`).
+        Blocks from which `forgive` or `set_peers` has exempted the reader do not count. A waived peer has 0 (see
+        `waive`).
         """
         return {name: self._owed(reader) for name, reader in self._readers.items()}
 
@@ -179,9 +178,10 @@ class AckWindow:
         return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
 
     def silent(self) -> tuple[str, ...]:
-        """Return the peers that have had blocks to acknowledge for longer than the timeout and acknowledged none.
+        """Return the names of the peers that are silent.
 
-        Peers that the rig has continued without (see `waived`) are not among them.
+        A silent peer has had blocks to acknowledge for longer than the timeout, but has acknowledged none. Waived peers
+        are left out (see `waive`).
         """
         limit = self._clock() - self.timeout_ns
         owing = (name for name in self.peers if self._owed(self._readers[name]) > 0)
@@ -190,7 +190,7 @@ class AckWindow:
     def forgive(self, names: Iterable[str]) -> None:
         """Count all blocks published so far as acknowledged by these peers, and restart their timeout.
 
-        The rig still waits for these peers to acknowledge later blocks, except those of `waived`. Each name must be one
+        The rig still waits for these peers to acknowledge later blocks, unless they are waived. Each name must be one
         of `readers`.
         """
         for name in names:
@@ -199,17 +199,16 @@ class AckWindow:
     def heard_ns(self, name: str) -> int:
         """Return the time from which the silence of a reader is measured [ns of the clock given to this window].
 
-        It is the time at which the reader last acknowledged a further block or, if later, was added or became a peer.
-        If it then had no block to acknowledge, it is the time at which the next block was published, once there is one.
-        `forgive` and `excuse` set it to the time of their call.
+        This is usually the time at which the reader last acknowledged a further block. It is later if the reader had no
+        block to acknowledge since, or if its timeout was restarted.
         """
         return self._readers[name].heard_ns
 
     def waive(self) -> None:
-        """Let the rig continue without its silent peers; it waits for each of them again once that peer acknowledges.
+        """Let the rig continue without its silent peers until they acknowledge again.
 
-        All blocks published so far count as acknowledged by all peers. If no peer is left that is neither silent
-        nor waived, the rig continues only for one more window of blocks, and then waits for the silent ones again.
+        All blocks published so far count as acknowledged by all peers. If the rig has no other peer to wait for, it
+        continues only for one more window of blocks.
         """
         silent = self.silent()
         for name in silent if set(silent) != set(self.peers) - set(self.waived()) else ():
@@ -217,7 +216,7 @@ class AckWindow:
         self.forgive(self.peers)
 
     def waived(self) -> tuple[str, ...]:
-        """Return the peers that the rig does not wait for: `waive` found them silent, and they are silent since."""
+        """Return the names of the peers that `waive` found silent and that have acknowledged nothing since."""
         return tuple(name for name in self.peers if self._readers[name].waived)
 
     def excuse(self) -> None:
@@ -226,10 +225,10 @@ class AckWindow:
             self._readers[name].heard_ns = self._clock()
 
     def forget(self, name: str) -> None:
-        """Drop the acknowledgements of a reader, one of `readers`, that no longer subscribes.
+        """Drop the acknowledgements of a reader that no longer subscribes.
 
-        If the reader is a peer, a node of this name remains a peer: the rig waits for a new node to acknowledge the
-        blocks that the former node has not acknowledged, unless that one was waived (see `waive`).
+        `name` must be one of `readers`. If the reader is a peer, its name remains a peer: the rig waits for a new node
+        of this name to acknowledge the outstanding blocks, unless the peer was waived (see `waive`).
         """
         reader = self._readers.pop(name)
         if name in self.peers:
@@ -240,12 +239,11 @@ class AckWindow:
 
 
 class Readers:
-    """Subscribers of one publisher's topic as the ROS graph shows them, to find out when all peers are connected.
+    """Subscribers of one publisher's topic, to find out when all expected peers are connected.
 
-    A message that is sent before a peer is connected is lost to that peer. The graph lists a subscription before the
-    publisher is matched (connected) with it, and the publisher knows only the number of its matches. Therefore the
-    peers in the graph count as connected once the publisher has a match for every compatible subscription there. Nodes
-    are distinguished by their names without namespace.
+    A message that is sent before a peer is connected is lost to that peer. Peers that the ROS graph lists count as
+    connected once the publisher is matched with as many subscriptions as the graph lists. Nodes are distinguished by
+    their names without namespace.
     """
 
     def __init__(self, node: Node, publisher: Any) -> None:
@@ -260,7 +258,7 @@ class Readers:
 
     @property
     def subscribers(self) -> int:
-        """Number of subscriptions that the publisher is matched with, whether their nodes acknowledge or not."""
+        """Number of subscriptions that the publisher is matched with, also of nodes that do not acknowledge."""
         return int(self._publisher.get_subscription_count())
 
     def expect(self, names: Iterable[str]) -> None:
@@ -270,11 +268,11 @@ class Readers:
         self._polled_at = -GRAPH_POLL_S
 
     def missing(self) -> tuple[str, ...]:
-        """Return the expected peers that no `all_matched` has found connected since `expect`, sorted by name."""
+        """Return the names of the expected peers that `all_matched` has not found connected yet, sorted."""
         return tuple(sorted(self._missing))
 
     def overdue(self, patience_s: float) -> bool:
-        """Return whether an expected peer is still missing when `patience_s` seconds have passed since `expect`."""
+        """Return whether an expected peer is still missing more than `patience_s` seconds after `expect`."""
         return bool(self._missing) and time.monotonic() - self._expected_at > patience_s
 
     def all_matched(self) -> bool:
@@ -297,15 +295,14 @@ class Readers:
     def knows(self, name: str) -> bool:
         """Return whether a node of this name (without namespace) subscribes to the publisher's topic.
 
-        True is the result of the last query of the graph, however old. Before False is returned, the graph is queried
-        again, unless the last query is less than 0.5 s old and the number of matches is the same.
+        The result True may be outdated. The result False is at most 0.5 s old.
         """
         if name not in self._present and (self._due(GRAPH_POLL_S) or self.subscribers != self._matched):
             self._poll()
         return name in self._present
 
     def gone(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Return those of the named nodes that do not subscribe to the topic, by a query of the last 0.5 s."""
+        """Return those of the named nodes that do not subscribe to the topic; the information is at most 0.5 s old."""
         if self._due(GRAPH_POLL_S):
             self._poll()
         return tuple(name for name in names if name not in self._present)
@@ -333,17 +330,14 @@ class Acknowledgements:
     """Sender of a reader's acknowledgements of `daq/scan`, as messages on `daq/ack`.
 
     A block (one message on `daq/scan`) that arrives alone is acknowledged at once. The blocks of a burst, at most 16,
-    are acknowledged by one message after the executor has delivered them, because sending and receiving an
-    acknowledgement takes more time than a block does. The blocks of a rig in real time are acknowledged by a timer,
-    every 50 ms. A rig counts as one in real time if its stamps differ from the system time by less than a day.
+    are acknowledged together. The blocks of a rig in real time are acknowledged by a timer, every 50 ms. A rig counts
+    as one in real time if its stamps differ from the system time by less than a day.
 
     Args:
         node: node that reads the scans and has created the publisher of `daq/ack`; acknowledgements carry its name.
-        may_send: called before each acknowledgement; returns whether the node has secured the data that it
-            acknowledges. If it returns False, nothing is sent, also not later; the acknowledgement of a later block
-            covers these blocks, too.
-        catch_up: called by the timer in real time, before it acknowledges; processes the blocks that the node has
-            received and queued.
+        may_send: called before each acknowledgement; returns whether the node has secured the acknowledged data. If it
+            returns False, this acknowledgement is not sent, and the next one covers its blocks.
+        catch_up: called by the timer before each acknowledgement, to process the blocks that the node has queued.
     """
 
     def __init__(
@@ -365,9 +359,9 @@ class Acknowledgements:
         self._has_timer = False
 
     def processed(self, stamp_ns: int) -> None:
-        """Register that the node has processed the block of scans with this stamp [ns], and acknowledge it.
+        """Register that the node has processed the block of scans with this stamp [ns], and acknowledge the block.
 
-        The acknowledgement may be sent later: one message for several blocks, or in real time by the timer.
+        The acknowledgement may be sent later: together with those of other blocks or, in real time, by the timer.
         """
         self._newest_ns = stamp_ns
         self._waiting += 1
@@ -387,9 +381,9 @@ class Acknowledgements:
                 executor.create_task(self._later)
 
     def flush(self) -> None:
-        """Acknowledge now the processed blocks of `daq/scan` that are not acknowledged yet, if `may_send` allows it.
+        """Acknowledge all processed blocks of `daq/scan` now, if `may_send` allows it.
 
-        Call this when the node is deactivated, as deactivation ends the timer that acknowledges in real time.
+        Call this when the node is deactivated, which also ends the timer of the acknowledgements in real time.
         """
         self.is_timed = self._has_timer = False
         if self._node.context.ok():

@@ -52,7 +52,7 @@ UNKNOWN_GAP = -1.0
 class AnalysisSettings(TrackerSettings):
     """Parameters of the analysis node: those of `Tracker`, the operator's label of the gap, and `autostart`.
 
-    The label is stated in the results, and limits how long a row waits for impacts.
+    The results contain the label. It also limits how long a row of the results waits for impacts.
     """
 
     gap_m: float = quantity(
@@ -140,7 +140,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
     def doing(self) -> NodeState:
-        """Return the state of the measurement; `no_scans` before the first block and 2 s (wall time) after the last."""
+        """Return the state of the measurement.
+
+        The state is `no_scans` before the first block of scans, and if no block has arrived for 2 s of wall time.
+        """
         words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
             return NodeState(words.NO_SCANS, "no scans received yet")
@@ -192,7 +195,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def _waiting(self) -> str:
         """Return why the next row of `transmissibility/table` is delayed.
 
-        Empty if no row is delayed, or if only the transient of the response delays it.
+        The text is empty if no row is delayed, or if the row only waits for the transient of the response.
         """
         progress = None if self._tracker is None else self._tracker.progress
         return "" if progress is None else progress.reason
@@ -256,7 +259,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def _analyse(self, scan: Table) -> None:
         """Pass a block of scans to each of the `ANALYSES` whose channels it contains, and publish their results.
 
-        They get all blocks, also those before the calibration.
+        The analyses also get the blocks that arrive before the calibration.
         """
         for analysis in self._blockwise:
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):

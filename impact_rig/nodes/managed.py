@@ -13,10 +13,10 @@
 # limitations under the License.
 """`ManagedNode`: base class of all lifecycle nodes of the rig.
 
-Such a node configures and activates itself (`autostart`), validates all parameters in one place, and publishes
-diagnostics at 1 Hz and on change. Its services may answer requests later. It survives invalid transition requests and
-exceptions in callbacks, both of which end a plain Python node of ROS 2 Jazzy: an exception is logged and reported in
-diagnostics, and the node continues. A subclass implements `configure`, `activate`, `deactivate` and `cleanup`.
+Such a node configures and activates itself (`autostart`), validates its parameters, and publishes diagnostics at 1 Hz
+and on change. Its services may answer requests later. Invalid transition requests and exceptions in callbacks do not
+end the node, unlike a plain Python node of ROS 2 Jazzy. An exception is logged and reported in diagnostics. A subclass
+implements `configure`, `activate`, `deactivate` and `cleanup`.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ class Refusals:
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
     """Return a wrapper of `callback` that passes any exception to `report` instead of raising it.
 
-    `report` gets the name of the callback and a description of the exception, and the wrapper returns None. `callback`
-    gets its arguments one by one, even from an executor that passes them as a single tuple.
+    `report` gets the name of the callback and a description of the exception. The wrapper then returns None. If an
+    executor passes the arguments as a single tuple, the wrapper passes them to `callback` one by one.
     """
 
     @functools.wraps(callback)
@@ -85,11 +85,10 @@ def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
 
 
 def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a wrapper of a subscription callback that calls it with two arguments under every executor.
+    """Return a wrapper of a subscription callback that passes message and info as two arguments under every executor.
 
-    The arguments are the message and its info (rclpy's dictionary with the times of sending and receipt). Jazzy's
-    events executor passes both as one tuple, the others as two arguments. rclpy decides by the signature of a callback
-    whether it wants the info; the wrapper keeps the signature.
+    The info is rclpy's dictionary with the times of sending and receipt. The wrapper keeps the signature of the
+    callback, by which rclpy decides whether to pass the info.
     """
 
     @functools.wraps(callback)
@@ -105,12 +104,10 @@ def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
-    """Return a wrapper of a service callback that answers the request instead of raising an exception.
+    """Return a wrapper of a service callback that answers the request even if the callback raises an exception.
 
-    If `callback` raises one, the wrapper calls `refuse` with a description of it, and returns the response object that
-    it was given. In a response to a request to set parameters, each parameter without a result is then rejected with
-    that description. This also protects rclpy's own parameter services, which raise if a request has an unknown
-    parameter type.
+    The wrapper then passes a description of the exception to `refuse`, and returns the given response object. If the
+    request was to set parameters, each parameter without a result is rejected.
     """
 
     @functools.wraps(callback)
@@ -167,8 +164,8 @@ class NodeState:
     Attributes:
         word: the most severe word that applies.
         reason: readable reason; empty if the word says enough.
-        since_ns: rig time at which the state began [ns]; None means the rig time of the report in which the word
-            changed to this one.
+        since_ns: rig time at which the state began [ns]. If it is None, the diagnostics show the rig time of the first
+            report with this word.
     """
 
     word: enum.StrEnum
@@ -261,28 +258,31 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def configure(self) -> None:
         """Build the parts of the node and create its publishers, at the lifecycle transition `configure`.
 
-        If it raises an exception, this is logged, the transition fails, and `deactivate` and `cleanup` are called.
+        After an exception, the transition fails, and `deactivate` and `cleanup` are called. The exception is logged.
         """
 
     def activate(self) -> None:
         """Start the node's work, at the lifecycle transition `activate`; after an exception, `deactivate` is called."""
 
     def deactivate(self) -> None:
-        """Stop the node's work; the publishers of `offer` stay. It is also called if the node is not active.
+        """Stop the node's work; the publishers created by `offer` stay.
 
-        If it raises an exception, that is logged, and the node is deactivated nevertheless.
+        This method may also be called while the node is not active. An exception is logged, and the node is deactivated
+        nevertheless.
         """
 
     def cleanup(self) -> None:
-        """Free what `configure` created; must work also if `configure` failed midway.
+        """Free what `configure` created.
 
-        The publishers of `offer` are destroyed by this base class afterwards.
+        This method must also work if `configure` failed midway. The base class then destroys the publishers created by
+        `offer`.
         """
 
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
-        """Apply new, validated settings to the node; an exception rejects them, and all parameters keep their values.
+        """Apply new, validated settings to the node.
 
-        Before it raises one, this method must undo what it has applied.
+        An exception rejects the settings: all parameters keep their values. Before the method raises an exception, it
+        must undo what it has applied.
 
         Args:
             settings: all parameters with their new values.
@@ -290,9 +290,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """
 
     def doing(self) -> NodeState:
-        """Return the state of the active node as a word of `STATES`, with its reason, for diagnostics.
+        """Return the state of the active node for diagnostics: a word of `STATES`, with its reason.
 
-        It must be cheap, as it is called about ten times a second. It is not called while the node is not active.
+        The method must be fast, because it is called about ten times a second. It is called only while the node is
+        active.
         """
         raise NotImplementedError
 
@@ -316,9 +317,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return bool(getattr(self.settings, "autostart", True))
 
     def rig_time_ns(self) -> int | None:
-        """Return the stamp of the node's diagnostics [ns]; None, published as 0, if there is no rig time yet.
+        """Return the stamp of the node's diagnostics [ns], or None if there is no rig time yet.
 
-        This base class returns the time of the node's clock. A subclass that reads a rig returns the rig's time.
+        A stamp of None is published as 0. This base class returns the time of the node's clock. A subclass that reads a
+        rig returns the rig's time.
         """
         return int(self.get_clock().now().nanoseconds)
 
@@ -345,10 +347,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return f"{self.state}: {remedies.get(self.state, 'activate it first')}"
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
-        """Create a service that answers a request even if its callback raises: the exception is logged and counted.
+        """Create a service that answers a request even if its callback raises; the exception is logged and counted.
 
-        `guarded_answer` describes the answer. rclpy calls this method for its own services (parameters), too, so they
-        are guarded as well.
+        `guarded_answer` describes the answer. rclpy's own services (parameters) are created by this method, too.
         """
         reason = "parameter" if "parameter" in srv_name else srv_name.removeprefix("~/")
         if srv_type is SetParameters:
@@ -359,17 +360,17 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **options: Any
     ) -> Any:
-        """Create a subscription whose callback is guarded: an exception is logged and reported, and the node continues.
+        """Create a subscription whose callback cannot end the node: an exception is logged and shown in diagnostics.
 
-        rclpy calls this method for its own subscriptions (/clock), too, so they are guarded as well.
+        rclpy's own subscriptions (/clock) are created by this method, too.
         """
         return super().create_subscription(msg_type, topic, guarded(callback, self.report_failure), *args, **options)
 
     def steady_timer(self, period_s: float, callback: Callable[[], None]) -> Any:
         """Create a timer that calls `callback` every `period_s` seconds of the monotonic clock.
 
-        Neither simulated time nor a change of the system clock affects it. An exception in `callback` is logged and
-        reported.
+        Simulated time and changes of the system clock do not affect the timer. An exception in `callback` is logged and
+        shown in diagnostics.
         """
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
 
@@ -384,7 +385,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def send(self, topic: topics.Topic, message: Any) -> None:
         """Publish a message, or its CDR (serialised) bytes, on a topic whose publisher `offer` has created.
 
-        It is published in an inactive node, too.
+        An inactive node publishes the message, too.
         """
         self.outputs[topic.name].publish(message)
 
@@ -424,11 +425,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
     ) -> Any:
         """Create a subscription to a topic; an exception in `callback` is logged and shown in diagnostics.
 
-        It outlives deactivation and clean-up, unless it is passed to `until_deactivated`.
+        The subscription outlives deactivation and clean-up, unless you pass it to `until_deactivated`.
 
         Args:
             topic: entry of `impact_rig.topics`.
-            callback: called with each message, and with its info if it takes two arguments.
+            callback: called with each message. If it takes two arguments, it also gets the info of the message.
             raw: whether `callback` gets the message as CDR (serialised) bytes.
             depth: length of the queue (default: that of the topic).
         """
@@ -444,8 +445,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def subscribe_table(self, topic: topics.Topic, callback: Callable[[Table], None]) -> Any:
         """Create a subscription to a topic that carries tables; `callback` gets each decoded table.
 
-        Invalid messages, and tables for which `callback` raises an ImpactRigError, are logged and counted as rejected.
-        The subscription outlives deactivation and clean-up, unless it is passed to `until_deactivated`.
+        Invalid messages are logged and counted as rejected. So are tables for which `callback` raises an
+        ImpactRigError. The subscription outlives deactivation and clean-up, unless you pass it to `until_deactivated`.
         """
 
         def take(data: bytes) -> None:
@@ -476,13 +477,14 @@ class ManagedNode(LifecycleNode, Generic[S]):
     ) -> None:
         """Create a service of `std_srvs` that may answer a request later; use private names (`~/name`).
 
+        Diagnostics are published at once if a request changes the node's state.
+
         Args:
             service_type: `Trigger` or `SetBool`.
             name: service name.
-            on_request: called with each request and a function that answers it, now or later. If it raises an
-                ImpactRigError, the request is rejected with that message. Any other exception gives such an answer,
-                too, and is reported by `report_failure`. Only the first answer is sent. Every answer without success is
-                logged and counted. If the node's state has changed after the call, diagnostics are published at once.
+            on_request: called with each request and a function that answers it, now or later. Only the first answer is
+                sent. An exception answers the request without success. Exceptions other than ImpactRigError are also
+                reported by `report_failure`. Answers without success are logged and counted.
             check_sent: called before `on_request` with the system time at which the request was sent [ns]; raises an
                 ImpactRigError to reject the request.
         """
@@ -512,7 +514,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def report_failure(self, where: str, message: str) -> None:
         """Log an exception of the callback `where` as an error, and show it in diagnostics for 5 s (wall time).
 
-        Each one is counted as rejected; at most one per second and callback is logged.
+        Every exception is counted, but at most one per second and callback is logged.
         """
         self._last_error = (time.monotonic(), f"{where}: {message}")
         self.refusals.add("exception", message)
@@ -547,7 +549,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Run `activate` at a lifecycle transition; return FAILURE, after `deactivate`, and log why if it fails."""
+        """Run `activate` at a lifecycle transition; if it fails, deactivate the node, log why and return FAILURE."""
         self._instance = secrets.token_hex(INSTANCE_BYTES)
         done = self._transition("activate", self.activate, undo=self._stop)
         if done != TransitionCallbackReturn.SUCCESS:
@@ -565,10 +567,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop the node's work and free what `configure` created, in any state; also used for shutdown and errors.
+        """Stop the node's work and free what `configure` created, in any state.
 
-        After a success, the node can be configured again, unless it was shut down (finalized). An exception is logged,
-        and the result is then FAILURE.
+        Shutdown and error transitions use this method, too. An exception is logged, and the result is then FAILURE.
         """
         return self._transition("clean up", self._free)
 
@@ -584,7 +585,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self.get_logger().info("node ended")
 
     def destroy_node(self) -> None:
-        """Destroy the node and its lifecycle state machine; otherwise the node would stay in the ROS graph."""
+        """Destroy the node and its lifecycle state machine, so that the node disappears from the ROS graph."""
         super().destroy_node()
         rclpy_internals.destroy_state_machine(self)
 
@@ -661,9 +662,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
     # Parameters
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Validate and set all of these parameters, or none; log and count a rejection.
+        """Validate and set all of these parameters, or none; a rejection is logged and counted.
 
-        rclpy's service `set_parameters_atomically` and calls within this process both use this method.
+        rclpy's service `set_parameters_atomically` uses this method.
         """
         result = self._attempt(parameter_list)
         if not result.successful:
@@ -694,9 +695,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return response
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """Validate and set the parameters one after the other; a rejected one does not affect the others.
+        """Validate and set the parameters one after the other; a rejected parameter does not affect the others.
 
-        It serves calls within this process. The service `set_parameters` uses `set_one_by_one`, which tries again.
+        This method is for calls within this process. The service `set_parameters` uses `set_one_by_one` instead, which
+        tries rejected parameters again.
         """
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
@@ -732,8 +734,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def present(self) -> NodeState:
         """Return the node's present state for diagnostics, in any lifecycle state.
 
-        While the node is not active, the state is `inactive`. Its reason is the lifecycle state. An error of the last
-        five seconds, or the one that prevented `configure`, is appended to it.
+        An active node returns the result of `doing`. Otherwise, the word is `inactive`, and the reason is the lifecycle
+        state. A recent error, or an error that prevented `configure`, is appended to the reason.
         """
         if self.active:
             return self.doing()
@@ -774,10 +776,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(array)
 
     def _judged(self) -> tuple[Level, str]:
-        """Return level and message for diagnostics: those of `health`, or an error of the last five seconds.
+        """Return level and message for diagnostics: those of `health`, or the level ERROR with a current error.
 
-        The error has level ERROR. If `health` has this level, too, both messages are returned. An error that prevented
-        `configure` lasts until the next try.
+        If `health` has the level ERROR, too, all messages are returned.
         """
         return worst(self.health(), *((Level.ERROR, message) for message in self._errors()))
 
@@ -791,15 +792,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
 class LateService:
     """Service of any type that may answer a request after its callback has returned, under any executor.
 
-    rclpy expects the callback to return a response. Its executors differ: the events executor accepts no coroutines,
-    and the others resume them only when something else wakes them. All of them pass the returned response to
-    `Service.send_response` together with the request's header. Therefore the callback returns a placeholder, and the
-    replaced `send_response` keeps the header until the answer is known and sent.
+    rclpy sends the response that a callback returns. Here the callback returns a placeholder, and the request's header
+    is kept until the answer is known and sent.
 
     Args:
         on_request: called with each request, the system time at which it was sent [ns], and a function that sends its
-            response; only its first call sends one. `on_request` must not raise. If the middleware gives no time of
-            sending, the time is that of receipt.
+            response. Only the first response is sent. `on_request` must not raise. If the middleware does not provide
+            the time of sending, the time of receipt is passed.
     """
 
     def __init__(

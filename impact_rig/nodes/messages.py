@@ -13,12 +13,11 @@
 # limitations under the License.
 """Topics of the ROS graph in terms of rclpy: message classes, quality of service, stamps, and messages as bytes.
 
-The module adds the monitors of instruments, the blockwise analyses and the plots to the base table
-(`impact_rig.topics`).
+`TOPICS` lists all topics: the base table (`impact_rig.topics`), and the topics of instruments, analyses and plots.
 
-Filling and serialising a message object takes 30 to 60 µs in Python; writing its numbers into bytes takes one or two. A
-`Template` does the latter for messages whose sequences and texts have constant lengths, so that every number has a
-constant offset (OMG DDSI-RTPS 2.2, section 10: CDR is a fixed layout of fixed parts).
+A `Template` writes numbers directly into the bytes of a serialised message, which is much faster than serialising a
+message object. The sequences and texts of the message must have constant lengths, so that every number has a constant
+offset (OMG DDSI-RTPS 2.2, section 10: CDR is a fixed layout of fixed parts).
 """
 
 from __future__ import annotations
@@ -98,9 +97,10 @@ def message_class(type_name: str) -> Any:
 
 
 def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
-    """Return a new rclpy quality-of-service profile for `qos`; `depth`, unless None or 0, replaces its queue length.
+    """Return a new rclpy quality-of-service profile for `qos`.
 
-    Each call returns a new object, because rclpy writes overrides into the profile.
+    A `depth` that is not None or 0 replaces the queue length of `qos`. Each call returns a new object, because rclpy
+    writes overrides into the profile.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -122,12 +122,13 @@ def nanoseconds(stamp: Time) -> int:
 
 
 def header_stamp_ns(message: Any) -> int | None:
-    """Return the header's stamp [ns] of a message or of its CDR bytes; None for a message without a header.
+    """Return the stamp [ns] in the header of a message, or None for a message without a header.
 
-    Bytes are always taken to begin with a header.
+    `message` may be a message object or its CDR bytes. Bytes must begin with a header.
 
     Raises:
-        CodecError: bytes are too short or not little-endian CDR, or the nanoseconds of their stamp are not below 10⁹.
+        CodecError: the bytes are too short or not little-endian CDR, or the nanoseconds of their stamp are not below
+            10⁹.
     """
     if isinstance(message, bytes):
         return codec.header_stamp_ns(message)
@@ -136,7 +137,7 @@ def header_stamp_ns(message: Any) -> int | None:
 
 
 class Template:
-    """Serialised message in which only the stamp and some floating-point numbers are replaced before each publication.
+    """Serialised message whose stamp and some floating-point numbers can be replaced quickly before each publication.
 
     Args:
         message: complete message, apart from its stamp and the changing numbers; it must begin with the stamp.
@@ -178,10 +179,9 @@ def put(message: Any, path: str, value: object) -> None:
 
 
 def _find(message: Any, path: str) -> tuple[str, int]:
-    """Return the format (`d` or `f`) and the byte offset of the number `path` in the serialised message.
+    """Return the format (`d` or `f`) and the byte offset of the number in the field `path` of a serialised message.
 
-    It writes a special number, which no message here contains, into the field and searches for its bytes. The field is
-    0 afterwards.
+    The field is 0 afterwards. The function writes a special number into the field and searches for its bytes.
     """
     put(message, path, _MARK)
     marked = bytes(serialize_message(message))

@@ -11,12 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Pacing of blocks of scans: due times on an injected clock, and a timer in phase with the blocks.
+"""Pacing of blocks of scans: due times of blocks on a given clock, and a timer in phase with the blocks.
 
-Rig time is the simulated time. Nothing here sleeps: the caller asks up to which rig time blocks are due, and reports
-each block that it has published. Due times are computed from a fixed start, so errors do not accumulate. If the rig is
-too far behind, as after a suspension of the process, the pacer gives up the lag: it sets a new start (re-bases) and
-counts the time given up.
+Rig time is the simulated time. The caller asks up to which rig time blocks are due, and reports each block that it has
+published. Due times are computed from a fixed start, so errors do not accumulate. If the rig is too far behind, for
+example after a suspension of the process, the pacer sets a new start and counts the time given up.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ _AT_ONCE_S = 1e-6
 class Lateness:
     """Delay from when blocks were due to when they were published [ms], over the newest blocks, at most 3000.
 
-    The rig shows it in its diagnostics as `lateness_…`, in the mode `realtime` only.
+    The diagnostics of a rig in real time show it as `lateness_…`.
     """
 
     median_ms: float
@@ -73,9 +72,9 @@ class Pacer:
         self.slipped_ns = 0  # clock time given up by re-basing [ns]
 
     def rebase(self, produced_ns: int, factor: float | None = None) -> None:
-        """Make the rig time `produced_ns` due now, with a new `factor` if given.
+        """Make the rig time `produced_ns` [ns] due now, and replace the factor if `factor` is given.
 
-        Call it at the start, after a pause and when the factor changes.
+        Call this method at the start, after a pause and when the factor changes.
         """
         self._origin_ns, self._origin_rig_ns = self._clock(), produced_ns
         if factor is not None:
@@ -84,9 +83,11 @@ class Pacer:
     def due_ns(self, produced_ns: int) -> int:
         """Return the rig time [ns] up to which blocks of scans should be published now.
 
+        If the rig is behind by more than `max_lag_ns`, the lag is given up and counted. The result is then
+        `produced_ns`: nothing is due.
+
         Args:
-            produced_ns: rig time up to which blocks have been produced. If it is behind by more than `max_lag_ns`, the
-                lag is given up and counted, and `produced_ns` itself is returned: nothing is due.
+            produced_ns: rig time up to which blocks have been produced [ns].
         """
         due = self._origin_rig_ns + int((self._clock() - self._origin_ns) * self.factor)
         if due - produced_ns > self._max_lag_ns:
@@ -108,7 +109,7 @@ class Pacer:
         return self._origin_ns + (rig_ns - self._origin_rig_ns) / self.factor
 
     def lateness(self) -> Lateness | None:
-        """Return how late the newest blocks, at most 3000, were published; None if none has been published yet."""
+        """Return statistics of how late the newest blocks, at most 3000, were published; None before the first."""
         if not self._late_ms:
             return None
         median, p99, worst = np.percentile(self._late_ms, (50, 99, 100))
@@ -116,12 +117,10 @@ class Pacer:
 
 
 class WorkTimer:
-    """Timer with a period and a phase on the monotonic clock, so that calls can come when blocks of scans become due.
+    """Timer that calls back periodically, in phase with the times at which blocks of scans become due.
 
-    A timer of rclpy first fires one period after its creation, so a block would wait up to one period after its end.
-    Therefore a one-shot timer makes the first call, and then starts the periodic timer. The phase drifts if the periods
-    of timer and blocks differ by fractions of a nanosecond. After 100 calls in a row that were late by more than a
-    tenth of a period, `keep_in_step` starts the timer again in phase.
+    The phase may drift. After 100 late calls in a row, `keep_in_step` starts the timer again in phase. A call is late
+    if it comes later than its time by more than a tenth of a period.
     """
 
     def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:
@@ -134,8 +133,8 @@ class WorkTimer:
     def start(self, period_s: float, first_s: float) -> None:
         """Call back after `first_s` seconds and then every `period_s` seconds; this replaces a running timer.
 
-        If `first_s` is negative (overdue) or longer than a period, the first call comes at the next time in phase with
-        it. An immediate call would set a phase in which all calls are late.
+        If `first_s` is negative (overdue) or longer than a period, the first call comes within one period, in the same
+        phase.
         """
         self.stop()
         self._period_s = period_s
@@ -151,11 +150,11 @@ class WorkTimer:
         self._late = 0
 
     def keep_in_step(self, wait_s: float) -> None:
-        """Start the timer again in phase after 100 late calls in a row; call this after each callback.
+        """Start the timer again in phase after 100 late calls in a row; call this method after each callback.
 
         Args:
-            wait_s: time until the next block is due [s]. If it is less than 0.9 periods, this call counts as late. It
-                is negative if that block is overdue already.
+            wait_s: time until the next block is due [s], negative if it is overdue. The call counts as late if this
+                time is less than 0.9 periods.
         """
         self._late = self._late + 1 if wait_s < (1.0 - LATE_SHARE) * self._period_s else 0
         if self._late >= LATE_CALLS:

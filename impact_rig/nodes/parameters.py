@@ -13,9 +13,8 @@
 # limitations under the License.
 """ROS parameters derived from configuration fields, with one validator for start-up files and run-time changes.
 
-rclpy would check types and ranges itself, with its own messages, before any callback. Here every change passes the
-validator of `impact_rig.config` first, so a bad value gives the same message at start and at run time. The descriptors
-that are declared show unit and range in ROS tools.
+Every change passes the validator of `impact_rig.config`, so a bad value gives the same message at start and at run
+time. The descriptors of the parameters show unit and range in ROS tools.
 """
 
 from __future__ import annotations
@@ -52,8 +51,8 @@ class Proposal(Generic[S]):
     """Change of parameters that the validator has accepted and that is not applied yet.
 
     Attributes:
-        stored: the requested parameters as ROS will store them, without those that `check` ignores. A client may have
-            requested the value that a parameter has already.
+        stored: the requested parameters as ROS will store them, without those that `Parameters.check` ignores. Their
+            values may equal the present ones.
         settings: all parameters of the node after the change, as one object.
         changes: only the values that differ from the present ones, by name.
     """
@@ -113,9 +112,8 @@ class Parameters(Generic[S]):
     def check(self, wanted: list[Parameter]) -> Proposal[S]:
         """Validate a change of these parameters, and return it as a `Proposal`; nothing is changed.
 
-        A read-only or text parameter that would keep its value is ignored: `ros2 param load` sends all values of a
-        dump, and a text such as `1` as a number. Values of rclpy's own parameters (`FOREIGN`) are not validated, except
-        `use_sim_time`.
+        A read-only or text parameter that would keep its value is ignored, so that `ros2 param load` accepts a complete
+        dump. Parameters of rclpy (`FOREIGN`) are not validated, except `use_sim_time`.
 
         Raises:
             ConfigError: a name is unknown, a read-only parameter would change, a value is invalid, or values contradict
@@ -137,9 +135,9 @@ class Parameters(Generic[S]):
         return Proposal(stored, settings, self._tree.differences(settings, self.settings))
 
     def _unchanged(self, parameter: Parameter) -> bool:
-        """Return whether this request can be ignored: a read-only or text parameter would keep its value.
+        """Return whether a request can be ignored, because a read-only or text parameter would keep its value.
 
-        If the requested value is the present one as `ros2 param load` changes it (`_as_loaded`), it counts as the same.
+        The value also counts as kept if it is the present value as `ros2 param load` sends it (see `_as_loaded`).
 
         Raises:
             ConfigError: a read-only parameter would change.
@@ -158,9 +156,8 @@ class Parameters(Generic[S]):
 def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersResult]:
     """Set parameters one by one, as ROS does, and return one result for each message, in the given order.
 
-    A rejected value is tried again as long as another value has been accepted since, so it may precede the value that
-    makes it valid. For example, `ros2 param load` sends a file sorted by name, so a new drive frequency precedes the
-    shaker limit that allows it.
+    A rejected parameter is tried again after another parameter has been accepted. A value may therefore precede the
+    value that makes it valid.
 
     Args:
         messages: parameters as ROS messages.
@@ -189,10 +186,10 @@ def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersR
 
 
 def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
-    """Return the descriptor of a parameter, which ROS tools show: description, unit, range and whether it is read-only.
+    """Return the ROS descriptor of a parameter: description, unit, type, range and whether it is read-only.
 
     Ranges of ROS include their limits. If a limit itself is not allowed, the text of the descriptor says so, and the
-    validator rejects it.
+    validator rejects the limit.
 
     Args:
         about: configuration field of the parameter.
@@ -233,7 +230,7 @@ def _from_ros(value: object) -> object:
 def _as_loaded(value: object) -> object:
     """Return the value that `ros2 param load` sends after `ros2 param dump` has written `value` to a file.
 
-    The two can differ, because the tool parses the text as YAML again: the text `1` becomes a number.
+    The two values can differ, because `ros2 param load` parses a text as YAML again: the text `1` becomes a number.
     """
     try:
         loaded = yaml.safe_load(str(value))

@@ -11,11 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Playback of a recorded run onto the graph, at a multiple of real time or as fast as named peers acknowledge.
+"""Playback of a recorded run onto the ROS graph, at a multiple of real time or as fast as named peers acknowledge.
 
-The recorded bytes are published unchanged, so an analysis of the playback finds the same results as the original one.
-Messages that were recorded before the first scan (calibration, journal, settings) are sent at once, also by a paused
-player, as their times may be hours earlier.
+The recorded bytes are published unchanged, so an analysis of the playback finds the original results. Messages that
+were recorded before the first scan (calibration, journal, settings) are sent at once, even if the player is paused.
 """
 
 from __future__ import annotations
@@ -68,8 +67,8 @@ Spin = Callable[[float], None]  # runs callbacks for at most this long [s]
 def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
     """Create a node on the ROS domain of the environment; yield the node and a function that runs its callbacks.
 
-    Each call of the function waits for a callback to run, at most the given time [s]. The node is destroyed at the end
-    of the `with` statement.
+    The function waits until a callback can run, at most for the given time [s]. The node is destroyed at the end of the
+    `with` statement.
     """
     context = Context()
     context.init(args=[])
@@ -158,12 +157,12 @@ class Player:
     def play(self) -> Iterator[int]:
         """Publish the run once, from its start; yield its rig time [ns] often, so that the caller can stop.
 
-        It first waits, without a limit, until all peers subscribe to the scans, and at the end until they have
-        acknowledged all blocks.
+        At the start, the player waits until all peers subscribe to the scans, without a time limit. At the end, it
+        waits until the peers have acknowledged all blocks.
 
         Raises:
             RecordingError: a chunk of the run is damaged, or a message is more than an hour of rig time later than the
-                one before; the messages before it were published.
+                message before it; earlier messages have been published.
             CodecError: a message on daq/scan has no valid header.
             ImpactRigError: a peer acknowledged nothing for 10 s of wall time although blocks were outstanding.
         """
@@ -203,7 +202,8 @@ class Player:
     def finish(self) -> None:
         """Wait until the last messages and answers of services are delivered, so that the node can be destroyed.
 
-        The wait ends without an error after at most 1 s per topic, and 0.3 s for the answers.
+        The wait lasts at most 1 s per topic, and 0.3 s for the answers. Messages that are not delivered by then cause
+        no error.
         """
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(DELIVERY)

@@ -43,7 +43,7 @@ PUBLISHED = [topic for topic in TOPICS if topic.publisher == "plot"]
 
 @attrs.frozen(kw_only=True)
 class PlotSettings:
-    """Parameters of the plot node: only whether it starts its work without a request."""
+    """Parameters of the plot node."""
 
     autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
@@ -64,7 +64,10 @@ class PlotDataNode(ManagedNode[PlotSettings]):
         self.offer(*PUBLISHED)
 
     def activate(self) -> None:
-        """Subscribe to calibration, drive and measurements; scans are subscribed to only while a plotter needs them."""
+        """Subscribe to calibration, drive and measurements.
+
+        From now on, the node also subscribes to the scans while a plotter needs them.
+        """
         self._plots = Plots(self.outputs, self.frame_prefix)
         self.until_deactivated(
             self.subscribe_table(topics.INFO, self._on_info),
@@ -74,7 +77,7 @@ class PlotDataNode(ManagedNode[PlotSettings]):
         self.every(POLL_S, self._poll)
 
     def deactivate(self) -> None:
-        """Unsubscribe from scans and drop what was computed; the other subscriptions end with the activation."""
+        """Unsubscribe from the scans and drop what was computed; the base class ends the other subscriptions."""
         self._unfollow()
         self._plots = None
 
@@ -106,7 +109,7 @@ class PlotDataNode(ManagedNode[PlotSettings]):
 class Plots:
     """Computation of the messages for plotters from the tables of a rig.
 
-    It publishes those computed from scans only where a plotter subscribes.
+    Messages that are computed from scans are published only on topics with a subscriber.
 
     Args:
         publishers: publisher by topic name.
@@ -130,9 +133,9 @@ class Plots:
         self._vectors = {topic.name: _vector(topic, frame_prefix) for topic in (*ENVELOPES.values(), *_VECTORS)}
 
     def configure(self, info: Table, frame_prefix: str) -> None:
-        """Adopt the scan rate of a `daq/info` table, and this prefix of the frame names in the messages.
+        """Adopt the scan rate of a `daq/info` table, and a prefix of the frame names in the messages.
 
-        If the rate differs from the former one, intervals and spectra in progress start again.
+        If the scan rate changes, unfinished envelopes, pulses and spectra are dropped and start again.
         """
         if frame_prefix != self._prefix:
             self._set_prefix(frame_prefix)
@@ -142,9 +145,9 @@ class Plots:
             self._intervals = self._pulses = self._recent = None
 
     def on_applied(self, applied: Table) -> None:
-        """Publish frequency [Hz] and amplitude [A, m or V, by kind of drive] of each row of `shaker/applied`.
+        """Publish frequency [Hz] and amplitude of each row of `shaker/applied` on `plot/drive`.
 
-        The topic is `plot/drive`.
+        The unit of the amplitude is A, m or V, depending on the kind of drive.
         """
         for row in applied.rows:
             self._drive = float(row["frequency"]), float(row["current"])
@@ -165,7 +168,7 @@ class Plots:
     def feed(self, scan: Table) -> None:
         """Publish the envelopes, spectra, pulses and drive that become due with this block of `daq/scan`.
 
-        Before `configure`, nothing is published; later, only topics that had subscribers at the last `poll`.
+        Only topics that had subscribers at the last `poll` are published. Before `configure`, nothing is published.
         """
         if not self._rate_hz or not len(scan.rows):
             return

@@ -13,13 +13,11 @@
 # limitations under the License.
 """Main loop of every node: run its callbacks (spin) until the process is asked to end, then clean up and end.
 
-`EventsExecutor` needs a third to a sixth of the processor time of rclpy's default executor. In Jazzy, its `spin()`
-busy-loops and its `spin_once` returns to Python after every message, so the loop spins for 0.2 s at a time. If rclpy
-does not have `EventsExecutor`, the default one is used.
+`EventsExecutor` needs a third to a sixth of the processor time of rclpy's default executor. The default executor is
+used if rclpy does not have `EventsExecutor`.
 
-Signals only set a flag that the loop checks. So neither a callback nor the clean-up is interrupted, however often
-Ctrl-C arrives, and the last messages still find a valid context. Only the main thread receives signals; threads of DDS
-never do.
+Signals only set a flag that the loop checks. Therefore no callback or clean-up is interrupted, however often Ctrl-C
+arrives. Only the main thread receives signals.
 """
 
 from __future__ import annotations
@@ -56,10 +54,10 @@ EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 
 
 def make_executor(context: Any = None) -> Any:
-    """Return a new executor for a ROS context (default: the global one), of the kind that needs least processor time.
+    """Return a new executor for a ROS context (default: the global one).
 
-    It is an events executor, unless this version of rclpy has none or is not supported, or `IMPACT_RIG_EXECUTOR` is
-    `default`; then it is rclpy's default executor.
+    It is an events executor if this version of rclpy has one and is supported, otherwise rclpy's default executor. The
+    value `default` of the environment variable `IMPACT_RIG_EXECUTOR` selects the default executor, too.
     """
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
@@ -77,19 +75,18 @@ def make_executor(context: Any = None) -> Any:
 
 
 def spin(executor: Any, seconds: float) -> None:
-    """Run the callbacks of an executor for `seconds` of wall time, without returning after each of them."""
+    """Run the callbacks of an executor for `seconds` of wall time."""
     never: Future[None] = Future()
     executor.spin_until_future_complete(never, timeout_sec=seconds)
 
 
 @contextlib.contextmanager
 def patient_threads() -> Iterator[None]:
-    """Give all threads that start within this `with` statement a policy by which they preempt no others (Linux).
+    """Give threads that start within this `with` statement a scheduling policy by which they preempt no others (Linux).
 
-    It is meant for the threads of DDS. Each message wakes several of them, also in its sender: receipt, heartbeats,
-    acknowledgements. If all cores are busy, they would interrupt the running callback about five times per block of
-    scans, which costs a quarter of the speed. The calling thread has the same policy (`SCHED_BATCH`) within the
-    statement. A process that was started with a policy of its own keeps that one, as threads inherit it (sched(7)).
+    The policy (`SCHED_BATCH`) is meant for the threads of DDS, which would often interrupt the running callback. The
+    calling thread has the same policy within the statement. Nothing changes if the process was started with a policy of
+    its own, or if the system forbids the change.
     """
     patient = getattr(os, "SCHED_BATCH", None)
     changed = False
@@ -107,13 +104,15 @@ def patient_threads() -> Iterator[None]:
 def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
     """Create a node, run its callbacks until a signal, a shutdown of ROS or `node.quitting` ends it, and clean up.
 
+    If the node cannot be created, the reason is printed on stderr. An exception in a callback is logged, and the node
+    continues.
+
     Args:
         make_node: creates the node.
         ending: record of the signals that this process has received.
 
     Returns:
-        Exit code: 0, or 2 if the node cannot be created, usually because its arguments are invalid. An exception while
-        it is created is printed on stderr; one in a callback is logged, and the node continues.
+        Exit code: 0, or 2 if the node cannot be created, usually because its arguments are invalid.
     """
     try:
         with block_signals(), patient_threads():
@@ -151,6 +150,6 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
 
 
 def main(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> None:
-    """Run a node as a program, and exit with its exit code; the caller has done the heavy imports."""
+    """Run a node as a program, and exit with its exit code."""
     with segments.Watch():
         sys.exit(ending.run(lambda: run(make_node, ending), interrupting=False))

@@ -82,8 +82,8 @@ class Monitors:
     Args:
         config: active configuration, for ranges and variances.
         noise: rms noise by channel, as returned by `noise_of`.
-        before: the monitors of the configuration before; if channels and rates are the same, their filter continues
-            without a gap.
+        before: the monitors of the previous configuration. If channels and rates are the same, their low-pass filter
+            continues without a gap.
     """
 
     def __init__(self, config: RigConfig, noise: dict[str, float], before: Monitors | None = None) -> None:
@@ -104,8 +104,8 @@ class Monitors:
     def messages(self, block: Block, wanted: Callable[[topics.Topic], bool]) -> Iterator[tuple[topics.Topic, bytes]]:
         """Yield (topic, CDR bytes) of the monitor messages that are ready after this block, in order within each topic.
 
-        Readings pass a low-pass filter, so they are published four monitor periods after the time in their stamp. The
-        true joint states, and readings at the full scan rate, are not filtered.
+        Readings pass a low-pass filter, so they are ready four monitor periods after the time in their stamp. The true
+        joint states are not filtered, and neither are readings at the full scan rate.
 
         Args:
             block: next block of the rig; pass every block in order, otherwise the low-pass filter starts again.
@@ -124,12 +124,15 @@ class Monitors:
 
 
 def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) -> Reading:
-    """Return a function that renders the monitor messages of one instrument quickly, as only numbers in them change.
+    """Return a fast function that renders the monitor messages of one instrument.
+
+    The function replaces only the numbers in a prepared message.
 
     Args:
         config: configuration of the rig.
         instrument: the instrument.
-        bit: mask of its channel in the status of a scan; set there if the reading was at an end of the range.
+        bit: mask of the instrument's bit in the status of a scan, which is set if the reading was at an end of the
+            range.
         noise: rms noise of the channel, in its unit.
     """
     fields = instrument.message(0.0, False, noise)
@@ -192,16 +195,15 @@ class Publishers:
     def names(self) -> list[str]:
         """Return the names of the topics that this rig publishes now and that no other node may publish.
 
-        These are all but `robot_description` and `/diagnostics`. Except `/clock`, the names are relative to the rig's
-        namespace.
+        Only `robot_description` and `/diagnostics` are left out. The names are relative to the rig's namespace, except
+        `/clock`.
         """
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
     def poll(self, often: bool) -> None:
         """Check which topics have subscribers; call this before `block`.
 
-        Without a subscriber, `block` publishes only the scans and latched (transient-local) topics. With `often`, every
-        call checks, otherwise at most one in 0.1 s (`GRAPH_POLL_S`).
+        With `often`, every call checks, otherwise at most one call in 0.1 s (`GRAPH_POLL_S`).
         """
         now = time.monotonic()
         if now - self._polled_at < GRAPH_POLL_S and not often:
@@ -214,10 +216,8 @@ class Publishers:
     def block(self, block: Block) -> None:
         """Publish the messages of a block, its scans last: a subscriber that has the scans has the complete block.
 
-        Topics without a subscriber at the last `poll` are left out, except the scans and latched topics. Peers
-        acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. If an instrument fault
-        withholds the scans of a block, only its other messages are published. All messages are rendered before the
-        first is sent, because sending evicts the data needed for rendering from the processor's caches.
+        Topics without a subscriber at the last `poll` are left out, except the scans and latched topics. If an
+        instrument fault withholds the scans of a block, only its other messages are published.
         """
         assert self._monitors is not None
         rendered = {
@@ -237,7 +237,7 @@ class Publishers:
             self._node.send(topics.SCAN, scans)
 
     def _heard(self, topic: topics.Topic) -> bool:
-        """Return whether a topic had subscribers at the last `poll`; messages without a subscriber are not rendered."""
+        """Return whether a topic had subscribers at the last `poll`."""
         return topic.name in self._listened_to
 
     def stream(self, rig: Rig) -> None:
@@ -246,10 +246,9 @@ class Publishers:
             self._node.send_table(topics.STREAM, rig.stream_state())
 
     def clock(self, now_ns: int) -> None:
-        """Publish rig time on `/clock`.
+        """Publish the rig time `now_ns` [ns] on `/clock`.
 
-        If the configuration did not request `/clock` when this object was created, the publisher is created at the
-        first call: only one node of a ROS domain may offer this topic.
+        The publisher is created at the first call if it does not exist yet.
         """
         if topics.CLOCK.name not in self._node.outputs:
             self._node.offer(topics.CLOCK)
@@ -275,7 +274,7 @@ class Publishers:
     def configuration(self, rig: Rig) -> None:
         """Publish the rig's calibration (`daq/info`) if it has changed, and its configuration as `announce` does.
 
-        It also updates the monitors.
+        The method also adapts the monitors to the configuration.
         """
         info = rig.info()
         noise = noise_of(info)
@@ -293,7 +292,7 @@ class Publishers:
     def announce(self, config: RigConfig) -> None:
         """Publish the configuration of the rig, and its appearance (URDF) if that has changed.
 
-        This is possible before the rig starts: a recorder waits for the configuration before it begins its run.
+        You can call this before the rig starts.
         """
         self._node.send(topics.CONFIGURATION, String(data=dump(config)))
         description = robot_description(config)
@@ -307,30 +306,29 @@ class Publishers:
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
-        """Make the next `configuration` publish the calibration even if it is the same, because a new rig starts.
+        """Prepare for the start of a new rig.
 
-        The next `poll` checks the subscribers at once.
+        The next `configuration` then publishes the calibration even if it is the same, and the next `poll` checks the
+        subscribers at once.
         """
         self._info = b""
         self._polled_at = -GRAPH_POLL_S
 
     def _settle(self, topic: topics.Topic) -> None:
-        """Wait until all subscribers have received the messages of a topic, or 0.2 s have passed.
+        """Wait until all subscribers have received the messages of a topic, at most 0.2 s; return at once in real time.
 
-        Messages of different topics can overtake each other. In real time, the difference is milliseconds, for which a
-        measurement can wait, so this method returns at once. In the other time modes it can be many blocks of scans,
-        and results would depend on it.
+        Messages of different topics can overtake each other. Outside of real time, the difference can be many blocks of
+        scans, and results would depend on it.
         """
         if self._node.settings.time.mode != "realtime":
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
 
 def _may_overflow(config: RigConfig) -> bool:
-    """Return whether the blocks that may be unacknowledged can contain more than `QUEUE` messages.
+    """Return whether the unacknowledged blocks can contain more messages than `QUEUE`.
 
     The middleware can certainly hold `QUEUE` messages to one process. If there can be more, `Publishers.block` waits
-    for delivery after each `QUEUE` messages and before the scans of each block. The result is False in real time,
-    where the rig does not wait for acknowledgements.
+    for their delivery. The result is False in real time, where the rig does not wait for acknowledgements.
     """
     if config.time.mode == "realtime":
         return False

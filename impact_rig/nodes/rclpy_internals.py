@@ -14,15 +14,13 @@
 """Access to private parts of rclpy, all in this module, and an events executor built from them.
 
 rclpy has no public access to the start-up overrides of parameters, the state machine of a lifecycle node, the messages
-held by a subscription, or the base class of the events executor. The functions here support rclpy of Jazzy (7) and
-Kilted (9). With any other version, nodes use the public executor: see `events_executor`.
+in a subscription, or the base class of the events executor. The functions here support rclpy of Jazzy (7) and Kilted
+(9). With any other version, nodes use rclpy's public executor (see `events_executor`).
 
-The events executor of rclpy runs callbacks when the middleware reports an arrival, and never polls. When it starts to
-listen to a new reader, rmw_fastrtps counts the messages that the reader holds, and then reports every later message. A
-message that arrives between these two moments is reported only with the next one (since
-https://github.com/ros2/rmw_fastrtps/pull/657). The gap is usually below a microsecond, but milliseconds if the thread
-waits for a core. A message that is sent once, such as the calibration, has no next one and would stay unreported. The
-executor here therefore polls each new entity once.
+The events executor of rclpy never polls. It may miss a message that arrives while it starts to listen to a
+subscription, and reports that message only with the next one (since https://github.com/ros2/rmw_fastrtps/pull/657). A
+message that is sent once, such as the calibration, would stay unreported. The executor here therefore polls each new
+entity once.
 """
 
 from __future__ import annotations
@@ -53,8 +51,8 @@ MOST = 1000  # maximum number of items processed in one poll, for a queue withou
 def parameter_overrides(node: Any) -> dict[str, Any]:
     """Return the parameter values given to a node at start (by file, command line or argument), by parameter name.
 
-    They are read together, so that values that depend on each other can be validated as one combination. rclpy would
-    validate one at a time, in the order of declaration.
+    rclpy would validate one value at a time. With all values together, values that depend on each other can be
+    validated as one combination.
     """
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
@@ -79,13 +77,16 @@ def change_state_service(node: Any) -> Any:
 def destroy_state_machine(node: Any) -> None:
     """Destroy the lifecycle state machine of a node that has been destroyed.
 
-    rclpy does not do this, which would keep the node in the ROS graph.
+    Without this call, the node would stay in the ROS graph.
     """
     node._state_machine.destroy_when_not_in_use()
 
 
 def take_messages(subscription: Any, raw: bool = False) -> Iterator[Any]:
-    """Take the messages that wait in a subscription, without its callback; yield them, or their CDR bytes if `raw`."""
+    """Take the messages that wait in a subscription, and yield them; its callback is not called.
+
+    With `raw`, the messages are CDR bytes.
+    """
     with contextlib.suppress(InvalidHandle), subscription.handle:
         while (taken := subscription.handle.take_message(subscription.msg_type, raw)) is not None:
             yield taken[0]
@@ -120,7 +121,7 @@ class PollingEventsExecutor(EventsExecutor):
         self._watch_soon()
 
     def wake(self) -> None:
-        """Start listening to subscriptions, services and clients that were created since; rclpy calls this."""
+        """Start listening to newly created subscriptions, services and clients; rclpy calls this method."""
         super().wake()
         self._watch_soon()
 
@@ -128,10 +129,9 @@ class PollingEventsExecutor(EventsExecutor):
         super().wake()
 
     def _watch_soon(self) -> None:
-        """Schedule one poll of each new subscription, service and client, to run once the executor listens to it.
+        """Schedule one poll of each new subscription, service and client.
 
-        The executor processes requests in order. Listening was requested before, so the poll, which is requested here,
-        runs after it.
+        The poll runs after the executor has started to listen, because the executor processes requests in order.
         """
         nodes = self.get_nodes()
         found = {one for node in nodes for one in (*node.subscriptions, *node.services, *node.clients)}
@@ -141,9 +141,9 @@ class PollingEventsExecutor(EventsExecutor):
 
 
 async def _watch(reference: weakref.ref[Any]) -> None:
-    """Process the items that a subscription, service or client holds now, as the executor may not report them.
+    """Process the items that a subscription, service or client holds now, because the executor may not report them.
 
-    An item that is also reported is not processed again.
+    An item that the executor reports as well is processed only once.
     """
     entity = reference()
     if entity is None:
@@ -165,8 +165,8 @@ async def _watch(reference: weakref.ref[Any]) -> None:
 def _taken(entity: Any) -> Callable[[], Any] | None:
     """Take the next item that a subscription, service or client holds; return a function that processes it.
 
-    It calls the callback, or for a client sets the result of the request's future. What it returns must be awaited if
-    it is awaitable, as always for a service. None if there is no item, or if the entity is already destroyed.
+    The function calls the callback or, for a client, sets the result of the request's future. If it returns an
+    awaitable, the caller must await it. The result is None if there is no item, or if the entity is already destroyed.
     """
     handle = entity.handle
     try:
@@ -184,10 +184,10 @@ def _taken(entity: Any) -> Callable[[], Any] | None:
 
 
 def call_subscription(subscription: Any, message: tuple[Any, Any]) -> Any:
-    """Call a subscription's callback with (message, info), or only the message if it takes one argument.
+    """Call a subscription's callback with (message, info), or only with the message if the callback takes one argument.
 
     Returns:
-        What the callback returns; a coroutine if it is one.
+        What the callback returns: a coroutine if the callback is a coroutine function.
     """
     return subscription.callback(*(message if subscription._callback_type is WITH_INFO else message[:1]))
 
@@ -195,10 +195,11 @@ def call_subscription(subscription: Any, message: tuple[Any, Any]) -> Any:
 def call_timer(timer: Any) -> Any:
     """Mark a timer as called, and call its callback.
 
-    It is next due at the first time after now that is a whole number of periods after the time at which it was due.
+    The timer is next due a whole number of periods after the time at which it was due, at the first such time after
+    now.
 
     Returns:
-        What the callback returns; a coroutine if it is one.
+        What the callback returns: a coroutine if the callback is a coroutine function.
     """
     timer.handle.call_timer()
     return timer.callback()

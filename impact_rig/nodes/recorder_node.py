@@ -105,10 +105,10 @@ class RecorderSettings:
 class RecorderNode(ManagedNode[RecorderSettings]):
     """Lifecycle node that writes runs and acknowledges blocks of scans.
 
-    While it records, it acknowledges a block only after writing it to the file. An acknowledgement covers all earlier
-    blocks on all topics. A recorder that has lost a message of the rig therefore sends none until ~/stop is called; one
-    whose recording failed sends none until ~/start or ~/stop. A rig that waits for this recorder then stops, and names
-    it in its diagnostics.
+    While the node records, it acknowledges a block only after writing the block to the file. An acknowledgement covers
+    all earlier blocks on all topics. Therefore the node sends none after it has lost a message of the rig, until ~/stop
+    is called. After a failed recording, it sends none until ~/start or ~/stop is called. A rig that waits for this
+    recorder then stops.
     """
 
     COMPONENT = "recording"
@@ -149,10 +149,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.offer(topics.ACK)
 
     def activate(self) -> None:
-        """Subscribe to the configuration of the rig, and request a run (see `_start`) if the parameter `record` is set.
+        """Subscribe to the configuration of the rig, and request a run if the parameter `record` is set.
 
-        Otherwise the node also subscribes to the scans and acknowledges them, but records nothing until the service
-        ~/start is called.
+        If `record` is not set, the node subscribes to the scans and acknowledges them. It records nothing until the
+        service ~/start is called.
         """
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
@@ -198,8 +198,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def health(self) -> tuple[Level, str]:
         """Return level and message of diagnostics: a problem of the newest recording, or whether the node records.
 
-        Of several problems, the first is shown: failure, several publishers of a topic, lost messages, invalid ones.
-        Lost messages are always an error, and are shown after several publishers, too.
+        The most important problem is shown. The order is: failure, several publishers of a topic, lost messages,
+        invalid messages. Lost messages are always an error, and are shown in addition to several publishers.
         """
         if self.state != "active":
             return Level.WARN, self.state
@@ -223,10 +223,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: `lost.TOPIC`, the number of lost messages, if any, by topic of the newest run.
+        """Return values for diagnostics.
 
-        During a run, its directory, number of messages and size [MB] are added. If several nodes have published a topic
-        of the newest run that only one may publish, `other_publishers` names them all, also after the run.
+        The values are the number of lost messages of the newest run by topic (`lost.TOPIC`), if any. During a run, its
+        directory, number of messages and size [MB] are added. If several nodes have published a topic of the run that
+        only one node may publish, `other_publishers` names the nodes, also after the run.
         """
         values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._lost().items()}
         if self._writer is not None:
@@ -261,7 +262,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _answer_start(self) -> None:
-        """Answer waiting ~/start requests if the run is open and waits for no further message, or if it has failed."""
+        """Answer waiting ~/start requests if the run has failed, or if it is open and waits for no message."""
         if self._writer is not None and not self._awaited:
             self._answer(True, str(self._writer.directory))
         elif self._failure:
@@ -282,11 +283,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         done(not self._failure, self._failure or stopped)
 
     def _start(self, patiently: bool = False) -> None:
-        """Request a run, which is opened when the newest configuration of the rig is `QUIET_S` old.
+        """Request a run, which is opened when the newest configuration of the rig is `QUIET_S` seconds old.
 
-        A run stores the configuration first. If none arrives within `configuration_wait_s`, the run is opened without.
-        This time counts from now; if `patiently`, it counts from the appearance of a publisher of scans, and there is
-        no limit to the wait for that.
+        If no configuration arrives within `configuration_wait_s`, the run is opened without a configuration. This time
+        counts from now. If `patiently`, it counts from the appearance of a publisher of scans, and the recorder waits
+        for that publisher without a limit.
         """
         self._failure = ""
         self._waiting = True
@@ -323,7 +324,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.until_deactivated(self._scans)
 
     def _listen(self, topic: topics.Topic) -> Any:
-        """Subscribe to a topic for recording, with a queue long enough that no message of a burst is displaced."""
+        """Subscribe to a topic for recording, with a queue long enough for a burst of messages."""
         depth = None if topic in topics.BULKY else topics.HISTORY_DEPTH
         return self.subscribe(topic, functools.partial(self._on_message, topic), raw=True, depth=depth)
 
@@ -357,7 +358,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _finish(self) -> None:
-        """Close the run, with all messages processed so far, or cancel a run that is requested and not open yet."""
+        """Close the run, or cancel a run that is requested and not open yet."""
         self._waiting = False
         writer = self._leave_run()
         self._answer(False, "the recording was stopped before it had fully started")
@@ -385,7 +386,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _leave_run(self) -> RunWriter | None:
         """End the subscriptions of the current run; return its writer, which the caller must close.
 
-        It returns None if no run is open. The subscription to scans stays, to acknowledge those between runs.
+        The result is None if no run is open. The subscription to scans stays, because scans are acknowledged between
+        runs, too.
         """
         self._awaited = set()
         for subscription in self._recorded:
@@ -433,9 +435,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
         """Queue a received message during a run of a rig in real time; otherwise process it at once.
 
-        A timer processes the queued messages together and then acknowledges their blocks. Code and data then stay in
-        the processor's caches, which halves the cost. What may change how messages are processed (a new configuration,
-        the end of the run) first processes all that are queued.
+        A timer processes the queued messages together, because this needs half the processor time. It then acknowledges
+        their blocks.
         """
         self._inbox.append((topic, data, info))
         if self._writer is None or not self._acknowledgements.is_timed:
@@ -488,9 +489,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._answer_start()
 
     def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
-        """Store a calibration (`daq/info`) inside the recording as a YAML attachment, too, for human readers.
+        """Attach a calibration (`daq/info`) to the recording as a YAML file for human readers.
 
-        Every table received during the run gets an attachment of its own.
+        Every calibration received during the run gets an attachment of its own.
         """
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
@@ -509,13 +510,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _secured(self) -> bool:
         """Write the received data to the file, so they survive this process; return whether they may be acknowledged.
 
-        The rig publishes the scans of a block last, and middleware and executor keep the order, so the other messages
-        of the block have arrived before. The exceptions are messages that the middleware lost and sends again, because
-        this process was suspended or too slow. In real time, nothing is acknowledged for `REPEATED_S` after that, by
-        when all of these have arrived. In the other time modes, the rig never sends more than the middleware can hold.
-
-        Returns:
-            False also if the run has failed or lacks a message of the rig that never arrived.
+        The result is False if the run has failed or has lost a message of the rig. It is also False in real time for
+        `REPEATED_S` seconds after this process was suspended or too slow. In this time, messages that the middleware
+        lost may still arrive.
         """
         if self._writer is not None:
             try:
@@ -529,20 +526,20 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _lost(self) -> dict[str, int]:
         """Return how many messages of this run were sent and never arrived, by full topic name.
 
-        Topics without losses, and those of which only the newest message matters (`REPLACED`), are left out.
+        Topics without losses are left out. So are topics of which only the newest message matters (`REPLACED`).
         """
         return {name: n for name, n in self._account.lost().items() if self._added[name] not in REPLACED}
 
     def _lacks_messages(self) -> bool:
-        """Return whether `_lost` contains a topic of the rig of which no message may be missing (`NEEDED`)."""
+        """Return whether the run has lost a message of a rig's topic of which no message may be missing (`NEEDED`)."""
         return self._writer is not None and any(self._added[name] in NEEDED for name in self._lost())
 
 
 def run_directory(text: str) -> Path:
     """Return the path for the parameter `directory` of the recorder, with `~` replaced by the home directory.
 
-    A relative path stays relative, to the working directory of the node; an empty text means that directory. Nothing is
-    created.
+    A relative path stays relative to the working directory of the node. An empty text means the working directory. The
+    directory is not created.
 
     Raises:
         RecordingError: the path begins with the home directory of an unknown user.

@@ -35,8 +35,8 @@ class RigNode(ManagedNode[RigConfig]):
     """Lifecycle node whose activation starts the simulated rig, and whose deactivation ends it.
 
     Args:
-        discovery_s: time [s] after the creation of the node before which `configure` does not return, so that the node
-            has discovered other rigs on its topics. It does not wait if a lock file would show any other rig.
+        discovery_s: time [s] after the creation of the node before which `configure` does not return. In this time, the
+            node discovers other rigs on its topics. The wait is left out if a lock file would show any other rig.
         kwargs: passed to `ManagedNode`.
     """
 
@@ -89,7 +89,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._session.deactivate()
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
-        """Apply new, validated settings to the rig, or to the next one if none has started.
+        """Apply new, validated settings to the running rig, or store them for the next rig if none has started.
 
         Raises:
             ImpactRigError: the rig rejects the settings; nothing is changed.
@@ -99,14 +99,14 @@ class RigNode(ManagedNode[RigConfig]):
     def rig_time_ns(self) -> int | None:
         """Return the stamp of the next block [ns of rig time], for diagnostics.
 
-        Before a rig has started, and after it ended, it is the system time in real time and None in other time modes.
+        Without a started rig, the result is the system time in real time and None in other time modes.
         """
         if self._session.rig is not None:
             return self._session.rig.next_block_ns
         return time.time_ns() if self._session.is_realtime else None
 
     def doing(self) -> NodeState:
-        """Return the state of the rig: what blocks it, what stops its shaker, or whether the shaker is driven."""
+        """Return the state of the rig, with its reason, for diagnostics."""
         return self._state.word()
 
     def health(self) -> tuple[Level, str]:

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Status of a rig: its state, message and values in diagnostics, and the lines of its log.
 
-The log has one line each time something starts, ends or goes wrong. It is updated ten times a second and compares with
-the last update, so nothing is logged twice, and a fault that often starts and ends does not flood the log.
+The log gets one line each time something starts, ends or goes wrong. Ten times a second, the status is compared with
+the last one, so nothing is logged twice.
 """
 
 from __future__ import annotations
@@ -85,9 +85,10 @@ class RigState:
         return NodeState(states.RigWord.DRIVING if session.rig.is_driven else states.RigWord.AT_REST, without)
 
     def health(self) -> tuple[Level, str]:
-        """Return level and message for diagnostics: the problems of the most severe level, or why no rig has started.
+        """Return level and message for diagnostics.
 
-        Without a warning or error the level is OK, and the message begins with `running in time mode`.
+        The message lists the problems of the most severe level, or the reason why no rig has started. Without a warning
+        or error the level is OK, and the message begins with `running in time mode`.
         """
         reason_not_ready, rig = self._session.reason_not_ready(), self._session.rig
         if reason_not_ready is not None:
@@ -159,8 +160,8 @@ class RigState:
     def _problems(self, rig: Rig) -> Iterator[Problem]:
         """Yield the problems of a started rig.
 
-        Those that cause a state are in the order of `states.RigWord`, the most severe first. The others can be
-        anywhere among them.
+        Problems that cause a state are in the order of `states.RigWord`, the most severe first. Other problems may be
+        anywhere between them.
         """
         session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
@@ -223,9 +224,9 @@ class RigState:
     def log_changes(self) -> None:
         """Log what has changed since the last call: start, trips, faults, samples of the drive, and the readers' state.
 
-        It also updates the flow control. A silent peer that was restarted need not acknowledge the blocks published so
-        far. A reader that no longer subscribes is dropped, unless it is a peer, for which the rig continues to wait
-        (except in real time).
+        The method also updates the flow control. A silent peer that was restarted need not acknowledge the blocks
+        published so far. The acknowledgements of a reader that no longer subscribes are dropped. If that reader is a
+        peer, the rig continues to wait for it, except in real time.
         """
         session = self._session
         rig, window = session.rig, session.window

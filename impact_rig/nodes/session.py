@@ -13,13 +13,12 @@
 # limitations under the License.
 """ROS session of one rig: start-up checks, command input, time stepping, publishing and flow control.
 
-The session asks `Rig` for the blocks that are due, and publishes them. A block is a short piece of the rig's output: 10
-ms by default. In the time mode `realtime`, the clock decides which blocks are due; otherwise the acknowledgements of
-the slowest peer do. In lockstep or while paused, only requested steps are due.
+The session asks `Rig` for the blocks that are due, and publishes them. A block is a short piece of the rig's output, 10
+ms by default. In the time mode `realtime`, the clock decides which blocks are due. In other modes, the acknowledgements
+of the slowest peer decide. In lockstep or while paused, only requested steps are due.
 
-A namespace of a ROS domain belongs to one rig at a time. The ROS graph shows another rig only after seconds if the
-announcement of that rig is missed. A lock file shows it at once, but only if it is a rig of the same user and machine.
-If discovery is limited to this machine, the lock suffices, and the rig starts without waiting.
+A namespace of a ROS domain belongs to one rig at a time. The ROS graph may show another rig only after seconds. A lock
+file shows a rig of the same user and machine at once. If discovery is limited to this machine, the lock suffices.
 """
 
 from __future__ import annotations
@@ -60,7 +59,9 @@ GRAPH_POLL_S = 0.5  # minimum interval between two checks for other publishers o
 
 
 def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
-    """Return whether ROS discovery is certainly limited to this machine, so that no rig on another machine interferes.
+    """Return whether ROS discovery is certainly limited to this machine.
+
+    Rigs on other machines then cannot interfere.
 
     Args:
         environment: environment variables. `ROS_AUTOMATIC_DISCOVERY_RANGE` must be `LOCALHOST` or `OFF` (case is
@@ -73,10 +74,10 @@ def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
 
 
 class NamespaceLock:
-    """Lock file that a rig holds for its ROS domain and namespace, to detect a second rig of this user and machine.
+    """Lock file of a rig for its ROS domain and namespace, to detect a second rig of the same user and machine.
 
-    In the second rig, `take` returns False if the lock can show every other rig (`decides`). That rig then waits until
-    the first one has ended.
+    If the lock decides (`decides`), `take` returns False in the second rig. The second rig then waits until the first
+    rig has ended.
     """
 
     def __init__(self, node: Node) -> None:
@@ -114,8 +115,7 @@ class DuplicatePublishers:
 
     Args:
         node: node of this rig.
-        names: returns the names of the topics that this rig publishes now and that no other node may publish, as
-            `Publishers.names` does.
+        names: function that returns the names of these topics, such as `Publishers.names`.
     """
 
     def __init__(self, node: Node, names: Callable[[], Iterable[str]]) -> None:
@@ -203,9 +203,9 @@ class Counts:
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
-        """Count one block of the rig and its impacts, and note its active faults.
+        """Count one block of the rig, its impacts and its scans over range, and update the active faults.
 
-        A block whose scans are withheld by an instrument fault counts, too, with its scans over range.
+        A block whose scans are withheld by an instrument fault counts, too.
         """
         self.blocks += 1
         self.lost_blocks += block.lost
@@ -320,15 +320,15 @@ class Session:
     def is_starving(self) -> bool:
         """Return whether the rig has waited for samples of its drive longer than `time.peer_timeout_s` of wall time.
 
-        A rig in real time waits for samples only in the steps of a pause.
+        In real time, a rig waits for samples only during the steps of a pause.
         """
         patience_s = self.node.settings.time.peer_timeout_s
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
 
     def controllers(self) -> list[str]:
-        """Return the names, without namespace, of the nodes that can send samples of the drive, sorted.
+        """Return the names, without namespace, of the nodes that have a publisher on `shaker/waveform`, sorted.
 
-        These are the nodes with a publisher on `shaker/waveform`, whether they send any or not.
+        These nodes can send samples of the drive.
         """
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
         return sorted({info.node_name for info in found})
@@ -336,7 +336,7 @@ class Session:
     def lack_of_samples(self) -> str:
         """Return why the rig lacks samples of its drive, as text for messages; call it only while the rig lacks them.
 
-        It names the nodes that could send samples but send none, or says that there is no such node.
+        The text names the nodes that could send samples, or says that no node publishes samples.
         """
         names, topic = self.controllers(), topics.WAVEFORM.name
         source = f"no samples arrive from {' and '.join(names)}" if names else "no node publishes samples"
@@ -349,11 +349,11 @@ class Session:
         self.publishers = Publishers(self.node, self.node.settings)
 
     def activate(self) -> None:
-        """Start the rig as soon as no other rig publishes its topics or holds its namespace, at once if there is none.
+        """Start the rig as soon as no other rig publishes its topics or holds its namespace.
 
-        In real time, the rig also waits for its peers to subscribe to the scans, at most `time.start_wait_s`; then it
-        starts without those that are missing. This method does not wait: if the rig cannot start at once, a timer
-        starts it later.
+        In real time, the rig also waits for its peers to subscribe to the scans, at most for `time.start_wait_s`. It
+        then starts without the missing peers. This method returns at once: if the rig cannot start now, a timer starts
+        it later.
         """
         self.publishers.forget()
         self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
@@ -372,10 +372,9 @@ class Session:
     def reason_not_ready(self) -> NodeState | None:
         """Return the state that keeps the rig of an active node from starting, with its reason.
 
-        It is None if nothing prevents the start, if the rig has started, or if the node is not active. While another
-        rig publishes the same topics, this rig waits: two rigs in one namespace would obey the same commands and
-        publish into the same recording. The rig that started first continues. If no other publishes, this method also
-        tries to take the lock of the namespace.
+        The result is None if nothing prevents the start, if the rig has started, or if the node is not active. A rig
+        waits while another rig publishes the same topics or holds the lock of the namespace. If no other rig publishes,
+        this method also tries to take the lock.
         """
         if not self._active or self.rig is not None:
             return None
@@ -424,7 +423,7 @@ class Session:
     def deactivate(self) -> None:
         """End the rig, drop unpublished data, and answer waiting requests with an error.
 
-        If the shaker is latched, the next rig starts with a latched shaker.
+        If the shaker is latched, the shaker of the next rig is latched from its start.
         """
         self._timer.stop()
         if self.rig is not None:
@@ -447,7 +446,7 @@ class Session:
         return self.rig
 
     def why_not(self) -> str:
-        """Return why no rig has started and, where the user can act, what to do, as text for an error message."""
+        """Return why no rig has started and, if possible, what to do, as text for an error message."""
         reason_not_ready = self.reason_not_ready()
         if reason_not_ready is not None:
             return f"the rig has not started: {reason_not_ready.reason}"
@@ -477,10 +476,10 @@ class Session:
             self._timer.keep_in_step(self._wait_s())
 
     def work(self) -> None:
-        """Start the rig if it has not started and nothing prevents it; otherwise publish the blocks that are due.
+        """Publish the blocks that are due, or start the rig if it has not started and nothing prevents the start.
 
         A call ends after about 20 ms even if more blocks are due; the next call continues. If the simulation fails, the
-        node is deactivated, because the rig cannot continue.
+        node is deactivated.
         """
         now = self._notice_absence()
         try:
@@ -500,10 +499,9 @@ class Session:
     def _notice_absence(self) -> float:
         """Detect whether this process was suspended since the last call; return the present monotonic time [s].
 
-        It counts as suspended if more than `AWAY_S` passed between two calls. The timeouts of the peers then start
-        again. If more than `EXPIRES_S` passed, in which the process used less than a quarter of a processor,
-        `refuse_backlog` also rejects the commands sent before. Sleep of the whole machine does not count, because the
-        monotonic clock stops with it.
+        A process counts as suspended if more than `AWAY_S` passed between two calls. The timeouts of the peers then
+        start again. After more than `EXPIRES_S` with little use of the processor, `refuse_backlog` also rejects
+        commands sent during the suspension.
         """
         now, used_s = time.monotonic(), time.process_time()
         before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()
@@ -522,7 +520,7 @@ class Session:
         return now
 
     def refuse_backlog(self, sent_ns: int) -> None:
-        """Raise if a command was sent before this process, which had been stopped, ran again: its sender has given up.
+        """Raise an error if a command was sent before this process resumed from a suspension: its sender has given up.
 
         Only a suspension that was longer than `EXPIRES_S` and ended less than `CHECKED_S` ago matters.
 
@@ -551,8 +549,8 @@ class Session:
     def _catch_up(self, rig: Rig, deadline: float) -> None:
         """Simulate and publish the blocks that are due in real time, until `deadline` [s of the monotonic clock].
 
-        The deadline is checked after every 50 ms of rig time (`CATCH_UP_NS`). If blocks remain, the next call publishes
-        them.
+        The deadline is checked after every 50 ms of rig time (`CATCH_UP_NS`). The next call publishes the blocks that
+        remain.
         """
         due_ns = self.pacer.due_ns(self._simulated_ns(rig))
         while True:
@@ -564,17 +562,17 @@ class Session:
     def _simulated_ns(self, rig: Rig) -> int:
         """Return the rig time up to which the rig is simulated [ns], for the pacer.
 
-        The simulated part of an unfinished block counts, because a block may be longer than the lag that the pacer
-        accepts. The last 10 ms (`COMMAND_GRID_NS`) of that part do not, because they may be simulated ahead of time.
+        The simulated part of an unfinished block counts, except its last 10 ms (`COMMAND_GRID_NS`). That last part may
+        be simulated ahead of time.
         """
         return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS)
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as peers, steps and samples allow, until `deadline` [s of the monotonic clock].
 
-        It serves rigs outside of real time, and the steps of a paused rig in real time. Requests for steps are answered
-        once the peers have acknowledged all blocks of the steps, or with an error if a peer or the controller (the node
-        that sends samples of the drive) is silent.
+        The method is for rigs outside of real time, and for the steps of a paused rig. Step requests are answered with
+        success once the peers have acknowledged all blocks of the steps. They are answered with an error if a peer is
+        silent, or if samples of the drive are missing for too long.
         """
         daq, window = self.node.settings.daq, self.window
         by_steps = self.paused or self.is_lockstep
@@ -612,10 +610,10 @@ class Session:
             _answer(self._stepping, True, f"rig time {rig.next_block_ns / NS_PER_S:.9f} s")
 
     def _advance(self, rig: Rig, until_ns: int) -> int:
-        """Simulate up to the rig time `until_ns`; publish changes of the rig, and then the blocks completed.
+        """Simulate up to the rig time `until_ns` [ns]; publish changes of the rig, and then the completed blocks.
 
         Returns:
-            Number of blocks completed.
+            Number of completed blocks.
         """
         blocks = rig.advance(until_ns)
         if self.publishers.changes(rig):
@@ -641,10 +639,9 @@ class Session:
     def step(self, steps: int, done: Done) -> None:
         """Request `steps` steps of `step.blocks` blocks each, and advance the rig as far as possible now.
 
-        `done` is called with success when every peer has acknowledged all blocks of all requested steps, also those of
-        later calls. It is called with an error if a peer does not subscribe or acknowledge, or samples of the drive are
-        missing, for longer than `time.peer_timeout_s`, and if the rig is reset or deactivated meanwhile. Resuming the
-        rig ends the steps with an error, too, except in lockstep, where they continue.
+        `done` is called with success when every peer has acknowledged all blocks of all requested steps. It is called
+        with an error if a peer or samples of the drive are missing for longer than `time.peer_timeout_s`. Reset and
+        deactivation also give an error, and so does resuming the rig, except in lockstep.
         """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()
@@ -655,8 +652,8 @@ class Session:
     def pause(self, done: Done) -> None:
         """Stop rig time at once; call `done` with success when the peers have acknowledged all published blocks.
 
-        `done` is also called with success if a peer is silent, as that peer may never acknowledge them. Steps under way
-        wait for the next `step`, or in lockstep for `resume`.
+        `done` is also called with success if a peer is silent. Unfinished steps wait for the next `step`, or in
+        lockstep for `resume`.
 
         Raises:
             CommandError: no rig has started.
@@ -668,13 +665,12 @@ class Session:
         self.node.report_change()
 
     def resume(self, done: Done) -> None:
-        """Let rig time continue after a pause, or while it waits for a silent peer or for samples; then call `done`.
+        """Let rig time continue if the rig is paused, or waits for a silent peer or for samples; then call `done`.
 
-        The rig does not wait for peers that are silent now until they acknowledge again. If no other peer is left, it
-        waits for them again after one more window of blocks. If the controller is silent, its stream ends after the
-        samples that have arrived. Waiting requests to pause are answered with an error, and so are those for steps
-        unless the time mode is `lockstep`. Without a pause, a silent peer or missing samples, only `done` is called,
-        with success.
+        The rig continues without the silent peers until they acknowledge again. If no other peer is left, it continues
+        only for one more window of blocks. If samples of the drive are missing, the stream ends after the samples that
+        have arrived. Waiting requests to pause are answered with an error. Waiting step requests are answered with an
+        error, too, except in lockstep.
 
         Raises:
             CommandError: no rig has started.
@@ -696,14 +692,14 @@ class Session:
         done(True, "running")
 
     def _end_steps(self, message: str) -> None:
-        """Answer the waiting step requests with an error, and drop the blocks that they still require."""
+        """Answer the waiting step requests with an error, and cancel their remaining blocks."""
         self._steps_left = 0
         _answer(self._stepping, False, message)
 
     def _refuse_without_peers(self) -> None:
         """Answer waiting step requests with an error if a peer has not subscribed within `time.peer_timeout_s`.
 
-        This time counts from the last request, or from when the peers were set if that is later.
+        This time counts from the last step request, or from the time at which the peers were set if that is later.
         """
         patience_s = self.node.settings.time.peer_timeout_s
         waited = time.monotonic() - self._stepped_at > patience_s
@@ -786,7 +782,10 @@ class Session:
             self._starved_at = None
 
     def _on_ack(self, data: bytes) -> None:
-        """Process an acknowledgement (`daq/ack`) of any reader; that of a peer may allow further blocks at once."""
+        """Process an acknowledgement (`daq/ack`) of any reader.
+
+        After the acknowledgement of a peer, further blocks may be published at once.
+        """
         if not self._active:
             return
         try:
@@ -813,9 +812,9 @@ class Session:
             self.work()
 
     def change(self, settings: RigConfig, changes: dict[str, Any]) -> None:
-        """Apply new, validated settings to the rig, the flow control and the pace, and publish them.
+        """Apply new, validated settings to the rig, the flow control and the pace, and publish the settings.
 
-        If no rig has started, nothing is published; the next rig starts with them.
+        If no rig has started, the settings are not published. The next rig starts with them.
 
         Raises:
             ImpactRigError: the rig rejects the settings; nothing is changed.

@@ -13,8 +13,9 @@
 # limitations under the License.
 """Services of the package `simulation_interfaces`, each offered if the installed package defines it.
 
-They offer pause, step and reset of the rig in the terms of that package. A rig counts as `STOPPED` if it is inactive,
-or if these services have paused and reset it and it has not advanced since. Rig time never goes back, also at a reset.
+They offer pause, step and reset of the rig in the terms of that package. The rig has the state `STOPPED` if it is
+inactive. It is also `STOPPED` if these services have paused and reset it, until it advances. Rig time never goes back,
+not even at a reset.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ Tell = Callable[[int, str], None]  # answers with a result code and an error mes
 
 
 class StandardServices:
-    """Standard simulation services (`simulation_interfaces`) of a rig; without that package, there are none."""
+    """Standard simulation services (`simulation_interfaces`) of a rig; no service is offered without that package."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._node = session, session.node
@@ -142,7 +143,8 @@ class StandardServices:
     def _stop(self, success: bool, message: str, done: Done) -> None:
         """Reset the rig if its pause succeeded, so that it counts as stopped, and answer the request by `done`.
 
-        If the pause failed, or the rig rejects the reset and therefore only stays paused, the answer is an error.
+        The answer is an error if the pause failed or the rig rejects the reset. After a rejected reset, the rig stays
+        paused.
         """
         try:
             if success:

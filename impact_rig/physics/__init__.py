@@ -13,9 +13,9 @@
 # limitations under the License.
 """Mechanics of the simulated rig: flights of the sphere in closed form, and its contacts with the walls by integration.
 
-A flight is the motion between contacts. A contact is integrated in w, the square root of the indentation, in which the
-force has no kinks. `FunctionGenerator` turns commands into drive segments, `Simulation` advances by these segments and
-returns a `Motion`, and the instruments evaluate that motion. This package never imports rclpy.
+A flight is the motion between contacts. A contact is integrated in w, the square root of the indentation, because the
+force has no kinks in w. `FunctionGenerator` turns commands into drive segments. `Simulation` advances by these segments
+and returns a `Motion`, which the instruments evaluate. This package never imports rclpy.
 """
 
 from typing import TYPE_CHECKING

@@ -11,16 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Integration of a contact from touch to separation in steps, each of which ends exactly at the first event in it.
+"""Integration of a contact between sphere and wall, step by step from touch to separation.
 
 δ is the indentation, w = √δ, and a step has a length in χ, with dt = w dχ (see `contact_step`, which solves the step):
 
     dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F: the law's force, elastic and lossy part together
 
 In a contact the state y holds the centre of mass of superior base and sphere, x_1* = x_1 + side σ δ. `side` is −1 for
-the left and 1 for the right wall, σ the sphere's part of both masses. The functions share some argument names: p are
-the parameters, law is the contact law's force, f the drive, s the state, and step the step with its stages. A slope is
-a derivative by χ. The `excess` of an event is how far a point is beyond it, in units of its scale.
+the left and 1 for the right wall, and σ is the mass of the sphere divided by the mass of both bodies. The functions
+share some argument names: p are the parameters, law is the contact law's force, f the drive, s the state, and step the
+step with its stages. A slope is a derivative by χ. The `excess` of an event is how far a point is beyond the event, in
+units of the event's scale.
 
 The error estimate determines where a step ends, unless one of these events comes first:
 
@@ -84,9 +85,10 @@ _PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limit_length`
 def _force_and_slope(
     p: Record, law: CompiledForce, s: Record, step: Record, point: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Return the contact force F [N] at a point (w, δ', dδ'/dχ) of a step, and its derivative along the motion, dF/dχ.
+    """Return the contact force F [N] at a point of a step, and the derivative dF/dχ along the motion.
 
-    w is the square root of the indentation δ, and χ the variable of integration, dt = w dχ.
+    `point` is (w, δ', dδ'/dχ), with w the square root of the indentation δ. χ is the variable of integration, dt = w
+    dχ.
     """
     w, speed, slope = point
     elastic, lossy, _, by_w, by_speed = force_at(p, law, s.per_v0, step.turned_at, w, speed, step)
@@ -99,9 +101,8 @@ def _excess(
 ) -> float:
     """Return how far a point of a contact's step is beyond an event, as a multiple of the event's own scale.
 
-    The value is at most 0 if the point is before the event or the law has no such event. The point is `at` = (time
-    since the start of the step [s], w, δ'), with w the square root of the indentation δ. If `step.time_left` is
-    infinite, the value for PAUSED is NaN, which never counts as beyond.
+    The value is at most 0 if the point is before the event, or if the law has no such event. `at` is the point: (time
+    since the start of the step [s], w, δ'), with w the square root of the indentation δ.
     """
     since, w, speed = at
     if event == SEPARATED:
@@ -120,10 +121,7 @@ def _excess(
 
 @kernel
 def _excess_slope(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> float:
-    """Return the derivative of `_excess`, at the end of the solved step, by the length of the step in χ.
-
-    Newton's method in `_end_at` needs it.
-    """
+    """Return the derivative of `_excess` by the length of the step in χ, at the end of the solved step."""
     w, speed = step.w[LAST], step.speed[LAST]
     if event == SEPARATED:
         return -0.5 * speed / max(s.w, s.deepest_w, _SMALLEST)
@@ -141,8 +139,8 @@ def _excess_slope(p: Record, law: CompiledForce, s: Record, step: Record, event:
 def _length_by_dense_output(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> float:
     """Return an estimate of the length in χ with which a step that has passed an event would end at the event.
 
-    The step must be solved and its dense output stored, the polynomial through its stages. The estimate is the root of
-    `_excess` on this polynomial, found by the Illinois method.
+    The step must be solved, and its dense output stored. The dense output is the polynomial through the step's stages.
+    The estimate is the root of `_excess` on this polynomial, found by the Illinois method.
     """
     low, high, x, last_moved = 0.0, 1.0, 1.0, 0
     excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
@@ -168,8 +166,8 @@ def _length_by_dense_output(p: Record, law: CompiledForce, s: Record, step: Reco
 def _end_at(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> bool:
     """Solve the step again with other lengths until it ends at the event; return whether that succeeded.
 
-    The length is searched between 0 and `s.h` and left in `s.h` [s/m^0.5]. The search fails if a step of some length
-    has no solution.
+    The length is searched between 0 and the old `s.h`, and stored in `s.h` [s/m^0.5]. The search fails if a step of
+    some length has no solution.
     """
     low, high = 0.0, s.h
     s.h = _length_by_dense_output(p, law, s, step, event)
@@ -196,12 +194,10 @@ def _end_at(p: Record, law: CompiledForce, s: Record, step: Record, event: int) 
 
 @kernel
 def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """Shorten the step solved last to the first event that it passed; return that event, or NOTHING, or FAILED.
+    """Shorten the solved step to the first event that it passed; return this event, NOTHING or FAILED.
 
-    NOTHING means that the step passed no event. FAILED means that the shortened step has no solution or is not exact
-    enough, or that the solution is false; the caller then tries a shorter step. In a true solution the sphere touches
-    the wall during the whole step. Near the end of a contact, and where the acceleration jumps, the equations of a long
-    step have a second, false solution: the indentation and the time collapse at once, or pass through zero and return.
+    NOTHING means that the step passed no event. FAILED means that the caller must try a shorter step: the shortened
+    step has no solution or is not exact enough, or its solution is not physical.
     """
     ended = NOTHING
     for event in _IN_ORDER:
@@ -220,13 +216,10 @@ def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
 
 @kernel
 def _limit_length(s: Record, step: Record) -> float:
-    """Return the length in χ for the next step: `s.next_h`, or less if its polynomials would not be valid for so long.
+    """Return the length in χ for the next step: `s.next_h`, or less if polynomials are not valid for so long.
 
-    The length is also limited to a part of the time until a resting sphere lifts off. Until then the indentation falls
-    as the two-thirds power of the time that is left. The lift-off is estimated as the zero of a_r, the acceleration
-    that presses sphere and wall together. Polynomials follow this fall over a part of the time only. A longer step
-    makes an error in the slow motion, and the contact then rings in all later steps. This second limit is never shorter
-    than some radians of the contact's own vibration.
+    Before a resting sphere lifts off, the length is also limited to a part of the time until the lift-off, because
+    polynomials cannot follow the indentation up to there.
     """
     if not s.w > 0.0:
         return s.next_h
@@ -242,12 +235,12 @@ def _limit_length(s: Record, step: Record) -> float:
 
 @kernel
 def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """Solve the next step of a contact; return the event at the step's end, NOTHING if none comes first, or FAILED.
+    """Solve the next step of a contact; return the event at the end of the step, NOTHING or FAILED.
 
-    Only some events also end the contact. FAILED means that none of many lengths gave a valid step. `s.h` becomes the
-    length of the solved step in χ (see this module), `s.next_h` the proposed length of the step after it. The rest of
-    the state stays in place until `conclude` moves it. `expand` must have filled `step` about s, and `step.time_left`
-    must be the time to the end of the drive segment [s].
+    NOTHING means that no event ends the step. FAILED means that no tried length gave a valid step. `expand` must have
+    filled `step` about s, and `step.time_left` must be the time to the end of the drive segment [s]. `s.h` becomes the
+    length of the step in χ, and `s.next_h` the proposed length of the following step. The rest of s does not change
+    until `conclude` moves it.
     """
     begin_step(p, law, s, step)
     s.h = _limit_length(s, step)
@@ -272,10 +265,10 @@ def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
 
 @kernel
 def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end: float) -> int:
-    """Prepare and solve the next step of the contact in the state s; return what ends it, as `take_step` does.
+    """Prepare and solve the next step of the contact in the state s; return the result of `take_step`.
 
-    `t_end` is the end of the drive segment, since its start [s]. All of s but `h` and `next_h` stays in place until
-    `conclude` moves it.
+    `t_end` is the end of the drive segment, since its start [s]. Only `h` and `next_h` of s change. `conclude` then
+    moves the rest of s.
     """
     p = model.parameters[0]
     expand(p, f, s, step)
@@ -287,9 +280,10 @@ def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end
 
 @kernel
 def dissipated(step: Record, h: float) -> float:
-    """Return the energy [J] that the contact loses during the solved step, by the collocation's quadrature.
+    """Return the energy [J] that the contact loses during the solved step.
 
-    `h` is the length of the step in χ, with dt = √δ dχ and δ the indentation.
+    `h` is the length of the step in χ, with dt = √δ dχ and δ the indentation. The quadrature is that of the
+    collocation.
     """
     lost = 0.0
     for i in range(STAGES):
@@ -299,10 +293,10 @@ def dissipated(step: Record, h: float) -> float:
 
 @kernel
 def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force: bool) -> float:
-    """Return the point of the solved step at which the force, if `of_force`, or else the indentation is largest.
+    """Return the point of the solved step at which the force (if `of_force`) or else the indentation is largest.
 
-    The result is a part of the step's length in χ: 0 is its start and 1 its end. It is found by bisection, as the zero
-    of the slope of the dense output, the polynomial through the step's stages.
+    The result is a fraction of the step's length in χ: 0 is the start of the step and 1 its end. The point is found by
+    bisection, on the polynomial through the step's stages.
     """
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
@@ -321,10 +315,8 @@ def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force:
 def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Raise `s.peak_force` [N] and `s.deepest_w` [m^0.5] to the largest values in the step, also between its stages.
 
-    If w is largest at the step's end, `s.deepest_w` is left to `conclude`. For a maximum between stages, another step
-    is solved that ends where the polynomial through the stages predicts the maximum; the remaining error is of second
-    order. If all stages are well below an earlier peak, the whole step is below it, and nothing is solved. The steps of
-    a law with a memory end at the largest indentation, so only the peak of the force is searched within them.
+    To find a maximum between stages, another step is solved that ends at the predicted maximum. If w is largest at the
+    end of the step, `conclude` updates `s.deepest_w` instead.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
     _, start_slope = _force_and_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
@@ -355,11 +347,9 @@ def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 
 @kernel
 def account_step(p: Record, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
-    """Add the drive's work and the losses in columns and shaker during a contact's step to `ledger` [J].
+    """Add the drive's work and the losses in columns and shaker during one step of a contact to `ledger` [J].
 
-    The step must be solved, and the state s still at its start. The first part integrates the motion without
-    indentation, which is smooth in time. The second adds the difference that the indentation makes, which is known at
-    the stages only.
+    The step must be solved, and the state s must still be at the start of the step.
     """
     half = 0.5 * step.since[LAST]
     for point in range(POINTS):
@@ -380,8 +370,8 @@ def account_step(p: Record, f: DriveSegment, s: Record, step: Record, ledger: Re
 def conclude(p: Record, s: Record, step: Record, ended: int, t_end: float) -> None:
     """Move the state s to the end of its solved step; update the contact's duration, impulse and largest indentation.
 
-    `ended` is the event at the end of the step. `t_end` is the end of the drive segment [s], which s.t is set to after
-    PAUSED.
+    `ended` is the event at the end of the step. `t_end` is the end of the drive segment [s], to which `s.t` is set if
+    `ended` is PAUSED.
     """
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
     v_2_before = s.y[V1] + s.side * (1.0 - p.share) * s.speed
@@ -400,12 +390,10 @@ def conclude(p: Record, s: Record, step: Record, ended: int, t_end: float) -> No
 
 @kernel
 def settles(p: Record, law: CompiledForce, s: Record, step: Record) -> bool:
-    """Return whether a contact at its largest indentation only rings about its rest position, below `speed_floor`.
+    """Return whether a contact at its largest indentation now only rings slowly about its rest position.
 
-    The caller asks this only for a law with a memory; if true, the sphere then moves with the superior base as one
-    body. The speed of the ringing has the amplitude |δ''| / ω_c, with ω_c the contact's own frequency [rad/s]. A
-    ringing that lifts the sphere off the wall counts, too, up to |δ''| = 3 times the acceleration that presses sphere
-    and wall together: such a hop takes no longer than a period of the ringing.
+    The caller asks this for a law with a memory only. The speed of the ringing must be at most `speed_floor`, and its
+    acceleration at most 3 times the acceleration that presses sphere and wall together.
     """
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, turned_at(s), s.w, s.speed, step)
     pressing = step.acceleration[0]  # a_r at the start of the step, which hardly changes within one
@@ -426,10 +414,10 @@ def t_0_of(p: Record, speed: float) -> float:
 
 @kernel
 def first_length(p: Record, speed: float, acceleration: float) -> float:
-    """Return the length in χ [s/m^0.5] for the first step of a contact that begins with the speed v0 = `speed` [m/s].
+    """Return the length in χ [s/m^0.5] for the first step of a contact.
 
-    The length is 0.2 √(time/v0). The time is the shorter of two: the contact's time scale `t_0_of`, and v0 over the
-    magnitude of the `acceleration` [m/s²] with which the columns press sphere and wall together.
+    `speed` is the approach speed v0 [m/s], and `acceleration` [m/s²] presses sphere and wall together. The length is
+    0.2 √(time/v0), with the shorter of two times: the contact's time scale `t_0_of`, and v0 / |`acceleration`|.
     """
     scale = min(t_0_of(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_LENGTH * math.sqrt(scale / speed)

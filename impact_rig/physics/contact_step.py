@@ -87,9 +87,9 @@ _AMPLE = 4.0  # the terms are chosen before the length is known, for this many t
 def expand(p: Record, f: DriveSegment, s: Record, step: Record) -> None:
     """Fill `step.path` and `step.acceleration` with Taylor coefficients in time about the state s under the drive f.
 
-    `path` is the motion of sphere and superior base as one body (the pair), of the inferior base and of the coil's
-    current; `acceleration` is a_r, which presses sphere and wall together. The expected length of the step determines
-    the number of terms, `step.terms`, and the time [s] for which they are exact to rounding, `step.valid_for`.
+    `path` is the motion of sphere and superior base as one body, of the inferior base and of the coil's current.
+    `acceleration` is a_r, the acceleration that presses sphere and wall together. Also set `step.terms`, the number of
+    terms, and `step.valid_for`, the time [s] for which the terms are exact to rounding.
     """
     path = step.path
     fastest = max(p.fastest, f.omega)
@@ -138,9 +138,9 @@ def polynomial(coefficients: Reals, since: float, terms: int) -> float:
 
 @kernel
 def pair_at(step: Record, since: float, y: Reals) -> None:
-    """Fill y with the structural state at `since` seconds after the start of a contact's step.
+    """Fill y with the structural state `since` seconds after the start of a contact's step.
 
-    Sphere and superior base count as one body in it, and the correction z for the indentation is not included.
+    The state treats sphere and superior base as one body. The correction z for the indentation is not included.
     """
     for q in range(STRUCTURE):
         y[q] = polynomial(step.path[q], since, step.terms)
@@ -148,10 +148,10 @@ def pair_at(step: Record, since: float, y: Reals) -> None:
 
 @kernel
 def _integrate(step: Record, place: int, h: float) -> None:
-    """Fill the correction z of one entry of the structural state y at the stages, by integrating its slopes dz/dχ.
+    """Fill the correction z of one entry of the structural state y at the stages, by integrating its slope dz/dχ.
 
-    `place` is the index of the entry in y, and h the step's length in χ, with dt = √δ dχ. The slopes are
-    `step.correction_slope`.
+    `place` is the index of the entry in y. `h` is the step's length in χ, with dt = √δ dχ. The slopes at the stages are
+    read from `step.correction_slope`.
     """
     slope, correction = step.correction_slope[place], step.correction[place]
     for i in range(STAGES):
@@ -163,10 +163,10 @@ def _integrate(step: Record, place: int, h: float) -> None:
 
 @kernel
 def improve_correction(p: Record, step: Record, h: float) -> None:
-    """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h.
+    """Improve the correction z at the stages by one sweep of fixed-point iteration.
 
-    z is the small motion of the structure that the indentation causes through the force of the columns; h is the step's
-    length in χ. `solve` makes one sweep in each round of Newton's method.
+    z is the small motion of the structure that the indentation causes through the force of the columns. `h` is the
+    step's length in χ. Each sweep increases the order of accuracy in h by one.
     """
     z, slope, w = step.correction, step.correction_slope, step.w
     force_z = slope[X1]  # scratch until it is filled
@@ -198,10 +198,10 @@ def improve_correction(p: Record, step: Record, h: float) -> None:
 
 @kernel
 def add_correction(p: Record, side: float, step: Record, stage: int, y: Reals) -> None:
-    """Add to the structural state y the correction at one stage of a step: `side` · σ z.
+    """Add the correction `side` · σ z at one stage of a step to the structural state y.
 
-    It is the small motion that the indentation causes through the force of the columns. σ is the sphere's part of the
-    mass of sphere and superior base.
+    z is the small motion that the indentation causes through the force of the columns. σ is the mass of the sphere
+    divided by the mass of sphere and superior base.
     """
     for q in range(STRUCTURE):
         y[q] += side * p.share * step.correction[q, stage]
@@ -212,10 +212,9 @@ _FAR = 1.6  # times the step's length: beyond it the polynomial is worse than a 
 
 @kernel
 def keep_dense_output(s: Record, step: Record) -> None:
-    """Store the dense output of the step of length `s.h` from s: the polynomial through δ' at its start and stages.
+    """Store the dense output of the solved step of length `s.h` from s.
 
-    From it follow the first guess of Newton's method in the next step, and estimates of where in this step an event or
-    a given instant lies.
+    The dense output is the polynomial through δ' at the start and at the stages of the step.
     """
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
@@ -233,7 +232,10 @@ def drop_dense_output(step: Record) -> None:
 
 @kernel
 def _dense_speed(step: Record, x: float) -> float:
-    """Return δ' [m/s] at x of the step whose dense output was stored last; x is 0 at its start, 1 at its end."""
+    """Return δ' [m/s] at the fraction x of the step whose dense output was stored last.
+
+    x is 0 at the start of that step and 1 at its end.
+    """
     speed = step.dense[STAGES]
     for n in range(STAGES - 1, -1, -1):
         speed = speed * x + step.dense[n]
@@ -242,9 +244,9 @@ def _dense_speed(step: Record, x: float) -> float:
 
 @kernel
 def dense_slope(step: Record, x: float) -> float:
-    """Return dδ'/dχ at x of the step whose dense output was stored last; x is 0 at its start, 1 at its end.
+    """Return the slope dδ'/dχ at the fraction x of the step whose dense output was stored last.
 
-    δ' is the rate of the indentation, and dt = √δ dχ.
+    x is 0 at the start of that step and 1 at its end.
     """
     slope = STAGES * step.dense[STAGES]
     for n in range(STAGES - 1, 0, -1):
@@ -254,11 +256,12 @@ def dense_slope(step: Record, x: float) -> float:
 
 @kernel
 def predict_speeds(s: Record, step: Record, h: float) -> None:
-    """Fill `step.speed`, the speeds δ' at the stages of a step of length h from s, with a guess for Newton's method.
+    """Fill `step.speed` with a guess of the speeds δ' at the stages of a step of length h from s.
 
-    The dense output stored last, of the step before or of this step if it is solved again, is extrapolated to at most
-    1.6 times its length. If it is dropped or does not reach to the end of this step, the guess is a straight line in χ
-    with the slope at s.
+    Newton's method starts from this guess.
+
+    The guess extrapolates the dense output stored last, to at most 1.6 times its length. If no dense output is stored,
+    or it does not reach that far, the guess is a straight line in χ with the slope at s.
     """
     if step.dense_since + h <= _FAR * step.dense_length:
         x_start, x_length = step.dense_since / step.dense_length, h / step.dense_length
@@ -271,9 +274,10 @@ def predict_speeds(s: Record, step: Record, h: float) -> None:
 
 @kernel
 def dense_output(s: Record, step: Record, x: float) -> tuple[float, float, float]:
-    """Return (time since the start [s], w, δ') at x of the step from s, whose dense output was stored last.
+    """Return (time since the start of the step [s], w, δ') at the fraction x of the step from s.
 
-    x is 0 at the start and 1 at the end of that step, and w the square root of the indentation δ.
+    The dense output of this step must be the one stored last. x is 0 at the start of the step and 1 at its end. w is
+    the square root of the indentation δ.
     """
     time_sum, w_sum = 0.0, 0.0  # sums over the speeds [m/s]
     for n in range(STAGES, -1, -1):
@@ -295,7 +299,7 @@ _LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be r
 
 @kernel
 def turned_at(s: Record) -> float:
-    """Return the argument `turned_at` of the contact law's force in the state s, see `contact.law`.
+    """Return the argument `turned_at` of the contact law's force for the state s (see `contact.law`).
 
     It is 0 while the indentation δ grows and is the largest so far. Otherwise it is the largest w = √δ so far.
     """
@@ -306,9 +310,9 @@ def turned_at(s: Record) -> float:
 def force_at(
     p: Record, law: CompiledForce, per_v0: float, turned_at: float, w: float, speed: float, step: Record
 ) -> tuple[float, float, float, float, float]:
-    """Return the law's (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ') at one w = √δ and δ' = `speed`; see `contact.law`.
+    """Evaluate the contact law at w = √δ and δ' = `speed`: return (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ').
 
-    `step.point` is overwritten as scratch memory.
+    `contact.law` describes the five results. `step.point` is overwritten as scratch memory.
     """
     law.at_point(p, per_v0, turned_at, w, speed, step)
     point = step.point
@@ -317,16 +321,12 @@ def force_at(
 
 @kernel
 def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
-    """Evaluate force, slope and turning point at the start of a step, the contact's time scale, and the error allowed.
+    """Evaluate the contact at the start of a step: force, slope, turning point, time scale and tolerances.
 
-    All are stored in `step`, which `expand` must have filled about s.
-
-    The allowed error of the speeds, `step.tolerance`, is `rtol` times the contact's own speed: the largest of |δ'|, δ
-    times the contact's natural frequency, and a thousandth of `speed_floor`. Where the sphere rests on the wall, this
-    speed is tiny. So the tolerance is at least `rtol` times a tenth of another speed. The acceleration a_r, which
-    presses sphere and wall together, gives this speed in the time in which the fastest motion of structure or drive
-    goes one radian. The goal of Newton's method, `step.goal`, depends on the contact's own speed only: instruments
-    solve steps again from another prediction, and must find the same result.
+    The results are stored in `step`, which `expand` must have filled about s. `step.tolerance` is the allowed error of
+    the speeds, and `step.goal` the accuracy of Newton's method [m/s]. Both follow from `rtol` and the contact's own
+    speed. That is the largest of |δ'|, δ times the contact's natural frequency, and a thousandth of `speed_floor`. The
+    tolerance also has a lower limit, because the contact's own speed is tiny where the sphere rests on the wall.
     """
     step.turned_at = turned_at(s)
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, step.turned_at, s.w, s.speed, step)
@@ -343,9 +343,10 @@ def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 
 @kernel
 def _integrate_speeds(s: Record, step: Record, h: float) -> None:
-    """Fill w, the square root of the indentation, and the time since the start of the step, at its stages.
+    """Fill w, the square root of the indentation, and the time since the start of the step, at the stages of the step.
 
-    w follows from the integral of the speeds δ' over χ, and the time from that of w; h is the step's length in χ.
+    w follows from the integral of the speeds δ' over χ, and the time from the integral of w. `h` is the step's length
+    in χ.
     """
     for i in range(STAGES):
         w = 0.0
@@ -361,9 +362,9 @@ def _integrate_speeds(s: Record, step: Record, h: float) -> None:
 
 @kernel
 def _evaluate_acceleration(p: Record, step: Record) -> None:
-    """Fill in a_r, the acceleration that presses sphere and wall together, at the stages.
+    """Fill in the acceleration a_r at the stages, which presses sphere and wall together.
 
-    It includes the part due to the correction z, and excludes the contact force and the columns' force due to δ itself.
+    a_r includes the effect of the correction z. It excludes the contact force and the columns' force due to δ itself.
     """
     z, k_1, c_1, share_per_m_1 = step.correction, p.k_1, p.c_1, p.share * p.per_m_1
     for i in range(STAGES):
@@ -374,10 +375,10 @@ def _evaluate_acceleration(p: Record, step: Record) -> None:
 
 @kernel
 def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
-    """Fill in the force and the slope dδ'/dχ at the stages, and the derivatives of this slope by w and by δ'.
+    """Fill in the contact force, the slope dδ'/dχ, and the derivatives of this slope by w and δ', at the stages.
 
-    δ' is the rate of the indentation δ [m/s], w = √δ, and dt = w dχ. The acceleration a_r, which presses sphere and
-    wall together, counts as constant in these derivatives.
+    δ' is the rate of the indentation δ [m/s], w = √δ, and dt = w dχ. The derivatives treat the acceleration a_r, which
+    presses sphere and wall together, as constant.
     """
     law.at_stages(p, s.per_v0, step)
     by_depth, by_speed, per_m_eff = p.slowing_by_depth, p.slowing_by_speed, p.per_m_eff
@@ -394,9 +395,8 @@ def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> 
 def _set_newton(step: Record, h: float) -> None:
     """Fill `step.newton`, the matrix of Newton's method, with MATRIX⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w MATRIX.
 
-    Newton's method solves δ' − δ'(start) − h MATRIX slope(δ') = 0 for the speeds δ' at the stages, and the matrix is
-    MATRIX⁻¹ times the derivative of these equations. The small part due to a_r(t) is left out here, see
-    `_add_acceleration_to_newton`.
+    Newton's method solves δ' − δ'(start) − h MATRIX slope(δ') = 0 for the speeds δ' at the stages. The small part due
+    to a_r(t) is missing; `_add_acceleration_to_newton` adds it.
     """
     newton = step.newton
     for i in range(STAGES):
@@ -445,7 +445,7 @@ def _invert_newton(step: Record) -> None:
 def _newton_step(s: Record, step: Record, h: float) -> float:
     """Improve the speeds δ' at the stages by one step of Newton's method; return the largest change of a speed [m/s].
 
-    If a change is not finite, the result is infinity, and the caller tries another length of the step.
+    The result is infinity if a change is not finite.
     """
     start_speed, change = s.speed, step.correction_slope[X1]  # the latter is scratch
     for i in range(STAGES):
@@ -469,13 +469,12 @@ def _newton_step(s: Record, step: Record, h: float) -> float:
 
 @kernel
 def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, rounds: int) -> bool:
-    """Solve the equations of a step of length h from s; return whether Newton's method converged within `rounds`.
+    """Solve the equations of a step of length h from s; return whether Newton's method converged in `rounds` rounds.
 
-    The solution is stored in `step`; the last stage is the end of the step. If the result is false, `step` contains no
-    solution. While a sphere rests on the wall, a_r(t), the acceleration that presses it there, determines the
-    indentation. So after FEW_ROUNDS Newton's method uses the derivative of a_r(t) as well. A caller that may shorten
-    the step passes FEW_ROUNDS and shortens it on a failure; only steps of a fixed length get all ROUNDS. The stored
-    forces and slopes at the stages belong to the speeds before Newton's last change.
+    The solution is stored in `step`, and its last stage is the end of the step. If the result is false, `step` contains
+    no valid solution. A caller that may shorten the step passes FEW_ROUNDS, other callers pass ROUNDS. After
+    FEW_ROUNDS, Newton's method also uses the derivative of the acceleration a_r(t), which matters while a sphere rests
+    on the wall.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
@@ -505,12 +504,10 @@ def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, roun
 
 @kernel
 def estimate_error(step: Record, h: float) -> float:
-    """Return the estimated error of the step solved last as a multiple of the allowed one, `step.tolerance`.
+    """Return the estimated error of the solved step as a multiple of the allowed error, `step.tolerance`.
 
-    The estimate is the difference between the slope at the start and the stages' slopes extrapolated to the start. It
-    is of order 6 in the length h. The difference is filtered, so that a motion which decays within the step hardly
-    counts (Hairer & Wanner, section IV.8). A step that is not stiff is itself of order 9, so the estimate is too large
-    for it and is divided by a factor; the stiffer the contact, the smaller the factor.
+    The estimate compares the slope at the start with the stages' slopes extrapolated to the start. A motion that decays
+    within the step hardly counts (Hairer & Wanner, section IV.8).
     """
     defect = step.start_speed_slope
     for j in range(STAGES):
@@ -528,9 +525,9 @@ def estimate_error(step: Record, h: float) -> float:
 
 @kernel
 def next_length(h: float, error: float) -> float:
-    """Return the length for the next step, or for another attempt at this one, after a step of length h.
+    """Return the length in χ [s/m^0.5] for the next step, or for another attempt at the same step.
 
-    It is at least 0.1 h and at most 4 h; lengths are in χ [s/m^0.5]. `error` is the result of `estimate_error` for the
-    step of length h: its error as a multiple of the allowed one.
+    `h` is the length of the solved step, and `error` the result of `estimate_error` for it. The returned length is
+    between 0.1 h and 4 h.
     """
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

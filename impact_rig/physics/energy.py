@@ -13,9 +13,10 @@
 # limitations under the License.
 """Work of the drive and losses during a flight, by Gauss–Legendre quadrature of its closed form.
 
-A flight is the motion between contacts. For contacts see `contact_phase.account_step`; the losses of the contacts
-themselves are added in `event_loop`. Index 1 is the superior base on its columns, b the inferior base; c_f belongs to
-the suspension of the inferior base, K_f, R and the current i to the coil, U is its voltage.
+A flight is the motion between contacts. `contact_phase.account_step` does the same for contacts, and `event_loop` adds
+the losses of the contacts themselves. The index 1 marks the superior base on its columns, and b the inferior base. c_f
+is the damping of the suspension of the inferior base. K_f, R, i and U are force factor, resistance, current and voltage
+of the coil.
 
 columns  ∫ c_1 (v_1 − v_b)² dt        shaker  ∫ c_f v_b² + R i² dt        friction  force times the distance slid
 work     ∫ K_f i v_b dt (current),  ∫ U i dt (voltage),  ∫ [k_1 (x_b − x_1) − c_1 (v_1 − v_b)] v_b dt (prescribed)
@@ -42,10 +43,11 @@ _FORGOTTEN = 50.0  # e-foldings after which a mode needs no panels of its own
 
 @kernel
 def add_powers(p: Record, f: DriveSegment, y: Reals, t: float, weight: float, ledger: Record) -> None:
-    """Add to the energies in `ledger` [J] the powers of drive, columns and shaker at one instant t, times `weight` [s].
+    """Add the powers of drive, columns and shaker at one instant, times `weight` [s], to the energies in `ledger` [J].
 
-    A quadrature calls this for each of its points t, in seconds since the start of the drive segment f. y is the
-    structural state at t. The motion of a prescribed base is computed from the drive, not read from y.
+    A quadrature calls this function for each of its points. t is the instant, in seconds since the start of the drive
+    segment f, and y the structural state at t. The motion of a prescribed base is computed from the drive, not read
+    from y.
     """
     u, u_rate = drive(f, t)
     x_b, v_b = (u, u_rate) if p.drive_kind == PRESCRIBED else (y[XB], y[VB])
@@ -64,9 +66,10 @@ def add_powers(p: Record, f: DriveSegment, y: Reals, t: float, weight: float, le
 
 @kernel
 def account_flight(p: Record, system: Record, f: DriveSegment, flight: Record, end: float, ledger: Record) -> None:
-    """Add to `ledger` the drive's work and the losses of columns and shaker [J] in a flight from `flight.t_b` to `end`.
+    """Add the drive's work and the losses in columns and shaker during a flight to `ledger` [J].
 
-    Both times count from the start of the drive segment [s]. Friction of the guide is added by `event_loop`.
+    The flight lasts from `flight.t_b` to `end`. Both times count from the start of the drive segment [s]. The loss by
+    friction of the guide is not included.
     """
     duration, done = end - flight.t_b, 0.0
     while done < duration:

@@ -109,20 +109,20 @@ _EVENTS_PER_SEGMENT = 10_000_000
 
 
 class Workspace(NamedTuple):
-    """Arrays on which the event loop works: the current state, its scratch memory, and the history that it fills.
+    """Arrays of the event loop: the current state, scratch memory, and the history that the loop fills.
 
     Attributes:
         states: two records of STATE: the current state, and a copy with which `account_contact` follows a contact.
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
-        ledger: one record of LEDGER: energies, which the loop adds to.
+        ledger: one record of LEDGER: energies, to which the loop adds.
         counts: one record of COUNTS: how many states, impacts, segments and ticks have been filled in.
         history: records of STATE: the state at the start of each segment, at each event and at each step of a contact.
         impacts: records of IMPACT: the finished contacts.
-        first_state: for each segment of the drive the row of `history` with its first state, and at the end the number
-            of rows.
-        first_segment: for each tick, which consists of one or more segments, the index of its first one, and at the end
-            the number of segments.
+        first_state: for each drive segment the row of `history` with its first state; the last element is the number of
+            rows.
+        first_segment: for each tick the index of its first segment; the last element is the number of segments. A tick
+            consists of one or more segments.
     """
 
     states: NDArray[np.void]
@@ -140,7 +140,7 @@ WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, COUNTS, STAT
 
 
 def new_workspace(states: int, impacts: int) -> Workspace:
-    """Return a workspace whose state is zero, with room for `states` rows of history and for `impacts` impacts.
+    """Return a zeroed workspace with room for `states` rows of history and for `impacts` impacts.
 
     The caller must replace `first_state` and `first_segment` by arrays with one element more than there are segments.
     """
@@ -166,9 +166,9 @@ def _keep_state(work: Workspace) -> None:
 
 @kernel
 def _fly_on(p: Record, s: Record, d: float, d_rate: float) -> None:
-    """Start a flight of the sphere at d = x_2 − x_1 [m] with the rate d_rate [m/s] relative to the superior base.
+    """Start a flight of the sphere, in phase FREE, at d = x_2 − x_1 [m] with the rate d_rate [m/s].
 
-    Friction of the guide, if there is any, acts against d_rate from the start.
+    d and d_rate are relative to the superior base. If the guide has friction, it acts against d_rate from the start.
     """
     s.phase, s.side = FREE, 0.0
     s.d, s.d_rate = d, d_rate
@@ -177,9 +177,9 @@ def _fly_on(p: Record, s: Record, d: float, d_rate: float) -> None:
 
 @kernel
 def _hold(s: Record, d: float, side: float) -> None:
-    """Let the sphere move with the superior base at d = x_2 − x_1 [m]: phase ATTACHED.
+    """Attach the sphere to the superior base at d = x_2 − x_1 [m]: phase ATTACHED.
 
-    `side` is the wall that presses the sphere, −1 (left) or 1 (right), or 0 if friction of the guide holds it.
+    `side` is the wall that presses the sphere, −1 (left) or 1 (right), or 0 if friction of the guide holds the sphere.
     """
     s.phase, s.side, s.slide = ATTACHED, side, 0.0
     s.d, s.d_rate = d, 0.0
@@ -187,9 +187,9 @@ def _hold(s: Record, d: float, side: float) -> None:
 
 @kernel
 def _least_speed(p: Record, s: Record) -> float:
-    """Return the speed, relative to the superior base, given to a sphere that would part from it more slowly [m/s].
+    """Return the least speed, relative to the superior base, with which a sphere starts to fly away from it [m/s].
 
-    It is `touch_speed`, or the rounding error of the superior base's speed if that is larger.
+    It is `touch_speed`, or the rounding error of the superior base's speed if that error is larger.
     """
     return max(p.touch_speed, _SPEED_RESOLUTION * abs(s.y[V1]))
 
@@ -198,8 +198,8 @@ def _least_speed(p: Record, s: Record) -> float:
 def _part(p: Record, s: Record, way: float, ledger: Record) -> None:
     """Release a sphere that moves with the superior base, so that it flies in the direction `way`: −1 left, 1 right.
 
-    It starts with the relative speed of `_least_speed`, and the momentum of both bodies together does not change. The
-    energy that this adds counts in `ledger` as a negative loss in contacts.
+    The sphere starts with the relative speed `_least_speed`. The total momentum of both bodies does not change. The
+    energy that this adds is recorded in `ledger` as a negative loss in contacts.
     """
     if s.side != 0.0:
         s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
@@ -213,9 +213,9 @@ def _part(p: Record, s: Record, way: float, ledger: Record) -> None:
 def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
     """Begin a contact with the wall that the sphere has just reached: `side` is −1 for the left, 1 for the right wall.
 
-    From here on `s.y` holds the centre of mass of sphere and superior base. If the sphere approaches the wall more
-    slowly than `touch_speed`, the contact begins with that speed. The energy that this adds counts in `ledger` as a
-    negative loss in contacts, but not in the `energy_lost` of the impact.
+    During the contact `s.y` holds the centre of mass of sphere and superior base. A slower approach than `touch_speed`
+    is raised to `touch_speed`. The energy that this adds is recorded in `ledger` as a negative loss in contacts, but is
+    not part of the `energy_lost` of the impact.
     """
     speed = max(side * s.d_rate, p.touch_speed)
     ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)
@@ -235,8 +235,8 @@ def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
 def _keep_impact(work: Workspace, s: Record, separation: float, indentation: float) -> None:
     """Append the finished contact of the state s to the impacts of the workspace.
 
-    `separation` is the relative speed at the end of the contact [m/s], positive away from the wall, and `indentation`
-    its largest indentation [m].
+    `separation` is the relative speed at the end of the contact [m/s], positive away from the wall. `indentation` is
+    the largest indentation of the contact [m].
     """
     row = work.impacts[work.counts[0].impacts]
     row.tick, row.offset, row.wall = s.touch_tick, s.touch_offset, int(s.side)
@@ -250,9 +250,8 @@ def _keep_impact(work: Workspace, s: Record, separation: float, indentation: flo
 def _leave(model: Model, s: Record, work: Workspace, settled: bool) -> None:
     """End a contact: append its impact, and let the sphere fly on or, if `settled`, stay on the wall in phase ATTACHED.
 
-    From here on `s.y` holds the motion of the superior base again, instead of that of the centre of mass of both
-    bodies. The elastic energy that the contact still stores counts as lost: the wall relaxes without the sphere or, if
-    `settled`, the ringing dies out.
+    After this, `s.y` holds the motion of the superior base again, instead of the centre of mass of both bodies. The
+    elastic energy that the contact still stores counts as lost.
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
@@ -277,10 +276,10 @@ def _bounce(
 ) -> None:
     """Let the sphere rebound from a rigid wall with e times its relative speed, or attach it to the wall.
 
-    It is attached if the wall would press it, judged by the `pair_acceleration` [m/s²] that sphere and superior base
-    would have as one body, and if the rebound would be too slow. That is so up to `touch_speed`, and up to the speed of
-    a rebound as high as the rounding of the positions, `position_rounding` [m]: such a sphere would touch again at
-    once, without end. Only a contact with an approach faster than `touch_speed` is appended to the impacts of `work`.
+    The sphere is attached if the wall would press it and the rebound would be too slow. `pair_acceleration` [m/s²], the
+    acceleration of sphere and superior base as one body, shows whether the wall would press. A rebound is too slow up
+    to `touch_speed`, or if it would be no higher than `position_rounding` [m], the rounding error of the positions. The
+    impact is appended to `work` only if the approach was faster than `touch_speed`.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
@@ -303,7 +302,7 @@ def _bounce(
 
 @kernel
 def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
-    """Advance a flight, with the sphere loose or attached; return its next event, or PAUSED if `t_end` is earlier.
+    """Advance a flight, with the sphere loose or attached, to its next event or to `t_end`; return the event or PAUSED.
 
     `t_end` is the end of the drive segment, since its start [s]. If `account`, work and losses are added to the ledger.
     """
@@ -320,11 +319,11 @@ def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, 
 
 @kernel
 def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> bool:
-    """Complete a contact that has just begun, by its outcome in the law's table; return whether that was possible.
+    """Complete a contact that has just begun by its outcome in the law's table; return whether that was possible.
 
-    If the result is false, the state is unchanged, and the caller integrates the contact in steps. The loss in the
-    contact comes from the table. If `account` is true, a copy of the state is integrated in steps as well, but only to
-    compute the drive's work and the losses in columns and shaker.
+    If the result is false, the state is unchanged, and the caller must integrate the contact. The loss in the contact
+    comes from the table. If `account`, a copy of the state is also integrated to compute the drive's work and the
+    losses in columns and shaker.
     """
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]
@@ -347,11 +346,10 @@ def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: floa
 
 @kernel
 def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
-    """Add to `ledger` the drive's work and the losses in columns and shaker during the contact that begins at s.
+    """Add the drive's work and the losses in columns and shaker during the contact that begins at s to `ledger`.
 
-    The contact is integrated step by step, and s is moved to its end. This is used for contacts whose outcome comes
-    from the table, in which these energies are not stored. If a step has no solution, the rest of the contact is left
-    out.
+    The contact is integrated step by step, and s is moved to its end. If a step has no solution, the rest of the
+    contact is left out. This is for contacts whose outcome comes from the table, which does not contain these energies.
     """
     drop_dense_output(step)
     for _ in range(_STEPS):
@@ -366,12 +364,12 @@ def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledg
 
 @kernel
 def _contact_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
-    """Advance a contact to the event that ends it, or to `t_end`; return the event, PAUSED, or FAILED if unsolvable.
+    """Advance a contact to the event that ends it, or to `t_end`; return the event, PAUSED or FAILED.
 
-    `t_end` is the end of the drive segment [s], counted from its start, like the time `t` of the state. The result is
-    also PAUSED, before `t_end`, after the largest number of steps in one call; the caller then calls again. The losses
-    in the contact are always accounted; the drive's work and the losses in columns and shaker only if `account` is
-    true.
+    `t_end` is the end of the drive segment, since its start [s]. PAUSED means that the contact is not over: `t_end` or
+    the largest number of steps per call is reached, and the caller calls again. FAILED means that a step has no
+    solution. The losses in the contact are always added to the ledger. The drive's work and the losses in columns and
+    shaker are added only if `account` is true.
     """
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
@@ -408,9 +406,9 @@ def _contact_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float,
 
 @kernel
 def _change_phase(model: Model, f: DriveSegment, work: Workspace, tick: int, ended: int) -> None:
-    """Enter the phase of the motion that follows the event `ended`, see the table at the head of this module.
+    """Enter the phase of the motion that follows the event `ended`, by the table in the docstring of this module.
 
-    `tick` is the number of the present tick since the reset, which a contact records as its beginning.
+    `tick` is the number of the present tick since the reset. A contact records it as its beginning.
     """
     p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
     if ended == PAUSED:
@@ -437,10 +435,10 @@ def _change_phase(model: Model, f: DriveSegment, work: Workspace, tick: int, end
 
 @kernel
 def _prepare_flight(model: Model, f: DriveSegment, work: Workspace, t_end: float, fresh: bool) -> None:
-    """Prepare the part of a flight's motion that the drive causes, unless the part prepared last is still valid.
+    """Compute the flight's response to the drive, unless the response computed last is still valid.
 
-    It is valid within one drive segment, while the linear system is the same (sphere loose or attached). `fresh` is
-    true for the first flight in a segment, and `t_end` is the end of the segment, since its start [s].
+    The response is valid within one drive segment, while the linear system (sphere loose or attached) is the same.
+    `fresh` is true for the first flight in a segment. `t_end` is the end of the segment, since its start [s].
     """
     flight = work.flight[0]
     renewed = choose_system(model, f, work.states[0], flight)
@@ -450,10 +448,9 @@ def _prepare_flight(model: Model, f: DriveSegment, work: Workspace, t_end: float
 
 @kernel
 def _move_base(p: Record, f: DriveSegment, s: Record, ledger: Record, account: bool) -> None:
-    """Set position and velocity of a prescribed base to those with which the drive segment f begins.
+    """Set position and velocity of a prescribed base to their values at the start of the drive segment f.
 
-    If the position jumps there, the base does work on the springs of the columns, which is added to `ledger` if
-    `account` is true.
+    If `account`, the work of a jump of the position against the springs of the columns is added to `ledger`.
     """
     x_b_before = s.y[XB]
     s.y[XB], s.y[VB] = drive(f, 0.0)
@@ -470,13 +467,11 @@ def run(
 ) -> tuple[int, int]:
     """Simulate the drive segments from index `segment` on; return (result, index of a segment).
 
-    The result is DONE, NEED_ROOM, STUCK or UNSOLVED, see `DONE`. The index is that of the segment in which the
-    simulation stopped, or the number of segments after DONE. After NEED_ROOM, call again with this index and a larger
-    workspace of the same content. `first_tick` is the number of the tick of `segments[0]`, counted since the reset,
-    also if `segment` is not 0.
-
-    Work, and losses outside the contacts, are computed only if `account` is true; this takes as much processor time as
-    the flights themselves.
+    The result is DONE, NEED_ROOM, STUCK or UNSOLVED; the documentation of `DONE` explains them. The index is the
+    segment in which the simulation stopped, or the number of segments after DONE. After NEED_ROOM, call again with this
+    index and a larger workspace of the same content. `first_tick` is the number of the tick of `segments[0]`, counted
+    since the reset, even if `segment` is not 0. If `account` is true, the work of the drive and the losses outside the
+    contacts are computed as well.
     """
     s = work.states[0]
     work.flight[0].omega = -1.0

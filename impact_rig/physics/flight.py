@@ -125,7 +125,7 @@ def phasor(angle: float) -> complex:
 
 @kernel
 def bound_omega(system: Record, omega: float) -> float:
-    """Return the fastest rate in a flight [1/s]: the larger of `omega`, that of the drive, and |λ| of all modes."""
+    """Return the fastest rate in a flight [1/s]: the largest of |λ| of all modes and the drive's frequency `omega`."""
     fastest = max(omega, 1e-9)
     for n in range(system.modes):
         fastest = max(fastest, modulus(system.rate[n]))
@@ -141,7 +141,7 @@ def _half_reciprocal(number: complex) -> complex:
 
 @kernel
 def resolve(system: Record, omega: float, vector: Complexes, out: Complexes) -> None:
-    """Fill out = (jω − M)⁻¹ vector, with M the system's matrix, as a sum over the system's modes.
+    """Compute `out` = (jω − M)⁻¹ `vector`, with M the system's matrix and ω = `omega` [rad/s].
 
     A mode of a conjugate pair is stored once and represents its conjugate, too.
     """
@@ -165,9 +165,8 @@ def resolve(system: Record, omega: float, vector: Complexes, out: Complexes) -> 
 def frequency_response(system: Record, omega: float, flight: Record) -> None:
     """Fill `flight.answer` (H) and `flight.growth_answer` (G) at the angular frequency `omega` [rad/s].
 
-    H is the complex amplitude of the structural state y per unit of a drive of constant amplitude. G is what a growing
-    amplitude adds to it, per unit of the growth rate B. With A and φ, amplitude and phase of the drive at the start of
-    the segment, the amplitude of y there is P = A e^{jφ} H + B e^{jφ} G.
+    H is the complex amplitude of the structural state y per unit of a drive of constant amplitude. G is the additional
+    amplitude of y per unit of the growth rate of the drive's amplitude.
     """
     n = system.states
     vector = flight.steady  # scratch: `particular` overwrites it
@@ -181,9 +180,10 @@ def frequency_response(system: Record, omega: float, flight: Record) -> None:
 
 @kernel
 def particular(system: Record, f: DriveSegment, flight: Record) -> None:
-    """Fill `flight.steady` (P) and `flight.growing` (Q) of the response Im[(P + Q t) exp(jωt)] to a drive segment.
+    """Compute `flight.steady` (P) and `flight.growing` (Q) of the response to a drive segment.
 
-    t counts from the start of the segment.
+    The response is Im[(P + Q t) exp(jωt)], with t from the start of the segment. `flight.answer` and
+    `flight.growth_answer` must belong to the frequency of the drive.
     """
     rotor = phasor(f.phase)
     for i in range(system.states):
@@ -195,9 +195,9 @@ def particular(system: Record, f: DriveSegment, flight: Record) -> None:
 def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: float, longest: float) -> float:
     """Return a time [s], at most `longest`, before which a point certainly has not covered `distance` [m, >= 0].
 
-    The docstring of this module explains the method. `speed` and `acceleration` are the present ones towards the
-    target, and `jerk_bound` is a limit of the jerk in either direction during this time. At the distance 0 the result
-    is 0 for a point that moves towards the target, and > 0 for one that moves away from it.
+    `speed` and `acceleration` are the present ones towards the target. `jerk_bound` limits the jerk in either direction
+    during this time. At the distance 0 the result is 0 for a point that moves towards the target, and > 0 for a point
+    that moves away from it. The docstring of this module explains the method.
     """
     half_acceleration = 0.5 * (acceleration + jerk_bound * longest / 3.0)  # the factor of t²
     if speed * longest + half_acceleration * longest * longest <= distance and (
@@ -234,10 +234,11 @@ def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: fl
 
 @kernel
 def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> bool:
-    """Set `flight.system` to the linear system that moves from the state s on: with the sphere loose or attached.
+    """Set `flight.system` to the linear system that moves from the state s on; return whether anything was computed.
 
-    If that system or the frequency of the drive f has changed, its frequency responses `flight.answer` and
-    `flight.growth_answer` are computed again, and the result is true; otherwise they are kept, and it is false.
+    The system is the structure with the sphere loose or attached. If the system or the frequency of the drive f has
+    changed, `flight.answer` and `flight.growth_answer` are computed again, and the result is true. Otherwise they stay,
+    and the result is false.
     """
     which = SPHERE_ATTACHED if s.phase == ATTACHED else SPHERE_LOOSE
     if f.omega == flight.omega and which == flight.system:
@@ -251,16 +252,17 @@ def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> b
 def guide_friction(p: Record, s: Record) -> float:
     """Return the force of the guide's friction on the superior base [N], positive to the right.
 
-    It is 0 in phase ATTACHED, in which sphere and superior base are one body and the friction is a force inside it.
+    It is 0 in phase ATTACHED, in which the friction is an internal force of sphere and superior base.
     """
     return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction_acceleration
 
 
 @kernel
 def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: float) -> None:
-    """Fill in the response of a linear system to the drive segment f, and its part in x_1 and the derivatives of x_1.
+    """Compute the response of a linear system to the drive segment f, and store it in `flight`.
 
-    For each of these derivatives, a bound on this part until `t_end`, the end of the segment [s], is stored as well.
+    For x_1 and its derivatives, the response and a bound on it are stored as well. The bound is valid until `t_end`,
+    the end of the segment [s].
     """
     particular(system, f, flight)
     jw = complex(0.0, f.omega)
@@ -273,7 +275,10 @@ def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: floa
 
 @kernel
 def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
-    """Return the modulus and the value of exp(λ since), by which a mode with λ = `rate` changes in `since` seconds."""
+    """Return the modulus and the value of exp(λ since), the factor by which a mode changes in `since` seconds.
+
+    λ is `rate`.
+    """
     envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
     return envelope, complex(envelope * cosine, envelope * sine)
@@ -283,7 +288,7 @@ def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
 def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: float) -> None:
     """Compute the amplitudes of the modes in a flight that begins at t with the structural state y.
 
-    Also computed is the part of each mode in x_1 and in the derivatives of x_1, with its modulus as a bound. t is the
+    Also compute the part of each mode in x_1 and its derivatives, and the modulus of this part as a bound. t is the
     time since the start of the drive segment [s].
     """
     rotor = phasor(f.omega * t)
@@ -305,10 +310,10 @@ def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: f
 
 @kernel
 def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: int) -> None:
-    """Fill `flight.x_1[order:order + 3]` with the derivatives of x_1 of these three orders at t; order 0 is x_1 itself.
+    """Compute three successive derivatives of x_1 at t, from the given `order` on; order 0 is x_1 itself.
 
-    Also set `flight.bound` to a bound on the derivative of order `order` + 3, valid from t to the end of the segment.
-    The search for the next event uses both.
+    They are stored in `flight.x_1[order:order + 3]`. `flight.bound` becomes a bound on the derivative of order `order`
+    + 3, valid from t to the end of the segment.
     """
     since, wave = t - flight.t_b, flight.wave
     rotor = phasor(f.omega * t)
@@ -335,8 +340,8 @@ def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: i
 def rounding(p: Record, system: Record, flight: Record, t: float) -> float:
     """Return the rounding error [m] of a computed distance between sphere and wall at t, with a margin.
 
-    It is that of the largest terms of x_1. A bounce that is lower than this cannot be computed. t counts from the start
-    of the drive segment [s].
+    The largest terms of x_1 determine it. A bounce lower than this cannot be computed. t counts from the start of the
+    drive segment [s].
     """
     largest = p.half_gap + modulus(flight.steady[X1]) + modulus(flight.growing[X1]) * t
     for n in range(system.modes):
@@ -361,9 +366,9 @@ def structure_at(system: Record, f: DriveSegment, flight: Record, t: float) -> N
 
 @kernel
 def negligible(advance: float, t: float) -> bool:
-    """Return whether `advance` [s] is below the resolution of the time t, so that the event counts as reached.
+    """Return whether the time step `advance` [s] is lost in the rounding of the time t [s].
 
-    The resolution is `_TIME_RESOLUTION` times t, or times `_SHORTEST` if t is less.
+    An event that is only so far ahead counts as reached. Times below `_SHORTEST` have the rounding of `_SHORTEST`.
     """
     return advance <= _TIME_RESOLUTION * max(t, _SHORTEST)
 
@@ -372,8 +377,8 @@ def negligible(advance: float, t: float) -> bool:
 def wall_distance(p: Record, s: Record, side: float, d: float) -> float:
     """Return the distance [m] from the sphere at d = x_2 − x_1 to the wall on `side` (−1 left, 1 right), at least 0.
 
-    If the last contact with this wall ended at an indentation δ > 0, the wall's surface is further back by that `dent`
-    until the sphere has left the indentation.
+    After a contact that ended at an indentation > 0, the surface of this wall is further back by `s.dent`, until the
+    sphere has left the indentation.
     """
     dent = s.dent if s.dent_side == side else 0.0
     return max(0.0, p.half_gap + dent - side * d)
@@ -381,12 +386,11 @@ def wall_distance(p: Record, s: Record, side: float, d: float) -> float:
 
 @kernel
 def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
-    """Advance a flight with a loose sphere from the state s to its first event or to `t_end`, and move s there.
+    """Advance a flight with a loose sphere to its first event or to `t_end`; return TOUCHED, STOPPED or PAUSED.
 
-    Returns TOUCHED, STOPPED or PAUSED. TOUCHED: the sphere touches the wall `s.side`; their distance is zero within
-    rounding, and `event_loop` sets it to zero exactly. STOPPED: friction has brought the sphere to rest relative to the
-    superior base, on which its guide is. PAUSED: `t_end` is reached, in seconds since the start of the segment. Without
-    a sphere the result is always PAUSED.
+    The state s is moved to this instant. TOUCHED: the sphere touches the wall `s.side`; their distance is zero within
+    rounding. STOPPED: friction has brought the sphere to rest relative to the superior base. PAUSED: `t_end` is
+    reached, in seconds since the start of the segment. Without a sphere the result is always PAUSED.
     """
     braking, x_1 = -s.slide * p.friction_acceleration, flight.x_1
     begin_flight(system, f, flight, s.y, s.t)
@@ -442,12 +446,12 @@ def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t
 
 @kernel
 def fly_attached(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
-    """Advance sphere and superior base as one body until they part (PARTED) or to `t_end` (PAUSED); return which.
+    """Advance sphere and superior base as one body until they part or to `t_end`; return PARTED or PAUSED.
 
-    The state s is moved there. `t_end` is the end of the drive segment, since its start [s]. `s.side` is the wall that
-    presses the sphere, or 0 if guide friction holds it. They part when the acceleration |x_1''| reaches the limit of
-    friction μ g_0, which is 0 without friction. A sphere at a wall parts only if that wall accelerates away from it.
-    After PARTED, `s.slide` is the direction, −1 or 1, in which the sphere moves relative to the base.
+    The state s is moved to this instant. `t_end` is the end of the drive segment, since its start [s]. `s.side` is the
+    wall that presses the sphere, or 0 if guide friction holds it. They part when the acceleration |x_1''| reaches the
+    limit of friction μ g_0, which is 0 without friction. A sphere at a wall parts only if this wall accelerates away
+    from it. After PARTED, `s.slide` is the direction, −1 or 1, in which the sphere moves relative to the base.
     """
     begin_flight(system, f, flight, s.y, s.t)
     t, ended, x_1 = s.t, PAUSED, flight.x_1

@@ -41,8 +41,8 @@ from impact_rig.simtime import COMMAND_GRID_S
 class Ramp(NamedTuple):
     """Linear ramp of the drive's amplitude from `initial` to `target`.
 
-    It begins at the start of tick number `first_tick` and takes `ticks` ticks of nominally 10 ms; 0 is a jump to
-    `target`. Amplitudes are in A, m or V, by kind of drive.
+    It begins at the start of tick number `first_tick` and takes `ticks` ticks of nominally 10 ms. With 0 ticks the
+    amplitude jumps to `target`. Amplitudes are in A, m or V, by kind of drive.
     """
 
     first_tick: int
@@ -56,16 +56,19 @@ RAMP = Fields(Ramp, (int, float, float, int))
 
 @kernel
 def amplitude_at(ramp: Ramp, tick: int) -> float:
-    """Return the amplitude at the start of `tick`, which must be >= `first_tick`: on the ramp, or `target` after it."""
+    """Return the amplitude of a ramp at the start of `tick`: on the ramp, or `target` after its end.
+
+    `tick` must be >= `first_tick`.
+    """
     progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
     return ramp.initial + (ramp.target - ramp.initial) * progress
 
 
 @entry(SEGMENT, REALS, float)
 def fill_lines(segments: Records, amplitudes: Reals, tick_s: float) -> None:
-    """Fill segments of one tick each, `tick_s` seconds, with a drive that is a straight line within each tick.
+    """Fill drive segments of one tick each with a drive that is a straight line within each tick.
 
-    `amplitudes` are the n + 1 values at the ends of the n ticks.
+    `amplitudes` are the n + 1 values at the ends of the n ticks, and `tick_s` is the duration of a tick [s].
     """
     for i in range(segments.shape[0]):
         segment = segments[i]
@@ -77,10 +80,10 @@ def fill_lines(segments: Records, amplitudes: Reals, tick_s: float) -> None:
 def fill_sine(
     segments: Records, tick: int, ramp: Ramp, tick_s: float, frequency_hz: float, ticks_since: int, phase: float
 ) -> None:
-    """Fill segments with a sine of the ramp's amplitude, one tick of `tick_s` seconds each, from tick number `tick` on.
+    """Fill drive segments of one tick each with a sine, from tick number `tick` on.
 
-    The sine had the phase `phase` [rad] when its frequency or the tick's duration last changed, `ticks_since` ticks
-    before `tick`.
+    The amplitude follows `ramp`, and `tick_s` is the duration of a tick [s]. `phase` [rad] is the phase of the sine
+    `ticks_since` ticks before `tick`, when its frequency or the duration of a tick last changed.
     """
     amplitude, cycles_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
     for i in range(segments.shape[0]):
@@ -97,9 +100,9 @@ def fill_sine(
 class FunctionGenerator:
     """Function generator for sines, chirps in steps of one tick, seeded band-limited noise, and streams of samples.
 
-    The amplitude moves linearly to a newly commanded one within `shaker.ramp_s`, rounded up to whole ticks. A random
-    drive is band-passed Gaussian noise with one value per tick and straight lines between them; its amplitude is the
-    rms of these values.
+    The amplitude moves linearly to a new commanded amplitude within `shaker.ramp_s`, rounded up to whole ticks. A
+    random drive is band-passed Gaussian noise with one value per tick and straight lines between the values. Its
+    amplitude is the rms of these values.
 
     Args:
         drive: waveform, first frequency and first amplitude; the drive starts with a ramp from 0 to this amplitude.
@@ -140,7 +143,10 @@ class FunctionGenerator:
 
     @property
     def phase_rad(self) -> float:
-        """Phase of the sine or chirp at the start of the next tick [rad], in [0, 2π); meaningless otherwise."""
+        """Phase of the sine or chirp at the start of the next tick [rad], in [0, 2π).
+
+        It has no meaning with other waveforms.
+        """
         cycles = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
         return math.fmod(self._anchor_phase + TWO_PI * math.fmod(cycles, 1.0), TWO_PI)
 
@@ -148,13 +154,16 @@ class FunctionGenerator:
     def amplitude(self) -> float:
         """Amplitude at the start of the next tick (A, m or V by drive; peak, or rms for random drive).
 
-        For a stream, 0, or the signed value of its ramp to zero after a stop.
+        For a stream it is 0, except during the ramp to zero after a stop: then it is the signed value of the ramp.
         """
         return float(amplitude_at(self._ramp, self.tick))
 
     @property
     def target_amplitude(self) -> float:
-        """Amplitude at the end of the ramp under way, or the present one without a ramp (A, m or V); 0 for a stream."""
+        """Amplitude at the end of the present ramp, or the present amplitude without a ramp (A, m or V by drive).
+
+        It is 0 for a stream.
+        """
         return self._ramp.target
 
     def set_frequency(self, frequency_hz: float) -> None:
@@ -188,19 +197,19 @@ class FunctionGenerator:
         self._ramp_to(amplitude, self._ramp_ticks)
 
     def stop(self, ramp_s: float) -> None:
-        """Ramp the drive to zero in `ramp_s` seconds, rounded up to whole ticks, instead of the usual ramp time.
+        """Ramp the drive to zero in `ramp_s` seconds, rounded up to whole ticks.
 
-        A stream is stopped, and its buffered samples are dropped. If a ramp to zero is already under way, it is
-        replaced only by one that ends earlier.
+        `ramp_s` replaces the usual ramp time for this stop. A stream is stopped, and its buffered samples are dropped.
+        A ramp to zero that is already under way continues, unless the new ramp ends earlier.
         """
         self._ramp_to(0.0, self._ticks_of(ramp_s))
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the time [s] that later changes of the amplitude take; 0 makes them jumps.
+        """Set the time [s] that later changes of the amplitude take; with 0 the amplitude jumps.
 
-        A ramp that is under way starts again from the present amplitude with this time, but a ramp to zero only if it
-        then ends earlier. A stream uses the time for the ramp to zero at missing samples as well. Such a ramp under way
-        always starts again, but the ramp after a stop does not change.
+        A ramp under way starts again from the present amplitude with this time. A ramp to zero does so only if it then
+        ends earlier. A stream uses the time for the ramp to zero at missing samples, and restarts such a ramp that is
+        under way. Its ramp after a stop does not change.
         """
         self._ramp_ticks = self._ticks_of(ramp_s)
         if self.stream is not None:
@@ -212,10 +221,9 @@ class FunctionGenerator:
         return math.ceil(ramp_s / self._tick_s - 1e-9)
 
     def _ramp_to(self, target: float, ticks: int) -> None:
-        """Start a ramp from the present amplitude to `target` that takes `ticks` ticks; a stream is stopped.
+        """Start a ramp from the present amplitude to `target` that takes `ticks` ticks; stop a stream.
 
-        A new ramp to zero replaces a ramp to zero that is under way only if it ends earlier. So no later command to
-        stop delays the end of an earlier one.
+        A ramp to zero that is already under way continues if the new ramp to zero would not end earlier.
         """
         present = self._reached
         if self.stream is not None:
@@ -228,7 +236,10 @@ class FunctionGenerator:
             self._ramp = Ramp(self.tick, present if ticks else target, target, ticks)
 
     def set_tick(self, tick_s: float) -> None:
-        """Change the duration of later ticks [s], as the scan clock's error has changed; the phase does not jump."""
+        """Change the duration of later ticks [s] without a jump of the phase.
+
+        The duration changes when the error of the scan clock changes.
+        """
         if tick_s != self._tick_s:
             self._anchor_phase, self._anchor_tick = self.phase_rad, self.tick
             self._tick_s = tick_s
@@ -267,10 +278,10 @@ class FunctionGenerator:
         return np.array([amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)])
 
     def _add_ramp(self, segments: NDArray[np.void], count: int) -> None:
-        """Add to the drive segments of a stopped stream a ramp to zero from the value at which it was stopped.
+        """Add a ramp to zero to the drive segments of a stopped stream, from the value at which the stream was stopped.
 
-        The segments of the stream itself are zero from that instant until new samples take effect. Until then the sum
-        is the ramp alone. `count` is the number of ticks.
+        `count` is the number of ticks. The segments of the stopped stream are zero until new samples take effect, so
+        the sum is the ramp alone until then.
         """
         if self.tick >= self._ramp.first_tick + self._ramp.ticks:
             return

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Amplitudes of the motion over complete cycles of the drive, in closed form from the stored states.
 
-Computed are the complex amplitudes of both bases at the drive frequency (the fundamentals), and position and velocity
-of the sphere at the start of each cycle.
+For each cycle the results are the complex amplitudes of both bases at the drive frequency (the fundamentals), and the
+position and velocity of the sphere at the start of the cycle.
 
 For a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of the structural state y(t) exp(−jωt),
 and D that of the drive. The structure is linear, y' = M y + b_0 u + b_1 u', and the only effect of the sphere on it, at
@@ -66,8 +66,8 @@ def _sphere(p: Record, s: Record) -> tuple[float, float]:
 def _integrate_straight(omega: float, length: float, x_2: float, v_2: float, x_end: float, v_end: float) -> complex:
     """Return the integral of x_2'' exp(−jωt) over one step of a contact, with t counted from the middle of the step.
 
-    The acceleration x_2'' is taken as linear in time, such that velocity and position change over the `length` seconds
-    of the step from v_2 and x_2 to v_end and x_end.
+    The acceleration x_2'' is approximated as linear in time. During the `length` seconds of the step, position and
+    velocity of the sphere change from x_2 and v_2 to x_end and v_end.
     """
     moment = 0.5 * length * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
     square = omega * length * omega * length
@@ -104,9 +104,10 @@ def _integrate_one_body(
 def _integrate_acceleration(
     model: Model, f: DriveSegment, trajectory: Trajectory, rows: tuple[int, int], duration: float, flight: Record
 ) -> complex:
-    """Return the integral of the sphere's x_2'' exp(−jωt) over the drive segment f, t from its start to `duration` [s].
+    """Return the integral of x_2'' exp(−jωt) over the drive segment f, with x_2'' the acceleration of the sphere.
 
-    `rows` are two row numbers of the history: of the first state in this segment, and of the first in the next one.
+    t runs from the start of the segment to `duration` [s]. `rows` are two row numbers of the history: of the first
+    state in this segment, and of the first state in the next segment.
     """
     p, history, total, rotor = model.parameters[0], trajectory.history, 0.0j, 1.0 + 0.0j
     x_2, v_2 = _sphere(p, history[rows[0]])
@@ -133,10 +134,11 @@ def _integrate_acceleration(
 
 @entry(MODEL, TRAJECTORY, FLIGHT, REALS_2D)
 def follow_cycles(model: Model, trajectory: Trajectory, flights: Records, out: Reals) -> None:
-    """Fill `out`, shape (segments, 6), with the six numbers of one CYCLE for each drive segment of the trajectory.
+    """Compute the record CYCLE for each drive segment of the trajectory: both bases' amplitudes and the sphere's start.
 
-    These are real and imaginary part of X_b and of X_1, then x_2 and v_2 of the sphere at the start. Each segment must
-    be one complete cycle of the drive. `flights` is scratch memory, one record of FLIGHT.
+    Each segment must be one complete cycle of the drive. A row of `out`, shape (segments, 6), holds real and imaginary
+    part of X_b and of X_1, then x_2 and v_2 of the sphere at the start of the cycle. `flights` is scratch memory, one
+    record of FLIGHT.
     """
     p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0

@@ -15,10 +15,10 @@
 
     y' = M y + b_0 u + b_1 u',   y = (x_1, v_1[, x_b, v_b[, i]]),   u = coil current, base displacement or coil voltage
 
-Superior base (x_1, v_1), inferior base (x_b, v_b) and coil current i form the state y; a prescribed base is not part of
-it, and i only with a voltage drive. In modal form y(t) = Re Σ_n Φ_n C_n exp(λ_n t) + y_p(t), with C_n = Γ_n · (y − y_p)
-at t = 0 and the drive's particular solution y_p. Two such systems exist: with the sphere loose (mass m_1) and with the
-sphere attached to the superior base (m_1 + m).
+Superior base (x_1, v_1), inferior base (x_b, v_b) and coil current i form the state y. A prescribed base is not part of
+y, and i is part of y only with a voltage drive. In modal form y(t) = Re Σ_n Φ_n C_n exp(λ_n t) + y_p(t), with C_n = Γ_n
+· (y − y_p) at t = 0. y_p is the particular solution for the drive. There are two such systems: with the sphere loose
+(mass m_1) and with the sphere attached to the superior base (mass m_1 + m).
 """
 
 from __future__ import annotations
@@ -52,7 +52,10 @@ from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
 
 class MechanicsSetup(Protocol):
-    """Interface of a configuration for which the mechanics can be simulated: the sections used, as in `RigConfig`."""
+    """Interface of a configuration for which the mechanics can be simulated.
+
+    Its properties are those sections of `RigConfig` that the mechanics need.
+    """
 
     @property
     def structure(self) -> Structure:
@@ -113,8 +116,9 @@ _DETUNING = 1e-9  # relative nudge of the damping that separates two coinciding 
 class Constants(NamedTuple):
     """Constants of the structure and the shaker as the equations of motion use them, SI.
 
-    Index 1 is the superior base on its columns; `m_base` is the mass of moving element and inferior base, on the
-    suspension c_f, k_f. `force_factor`, `resistance` and `inductance` belong to the coil.
+    The index 1 marks the superior base on its columns. `m_base` is the mass of moving element and inferior base, and
+    c_f and k_f are the damping and stiffness of its suspension. `force_factor`, `resistance` and `inductance` belong to
+    the coil.
     """
 
     m_1: float
@@ -129,10 +133,11 @@ class Constants(NamedTuple):
 
 
 class Modes(NamedTuple):
-    """Modes of y' = M y: rates λ [1/s], right and left vectors, shapes (k,), (k, n) and (k, n).
+    """Modes of y' = M y with n states: k rates λ [1/s], and their right and left vectors.
 
-    Of a complex conjugate pair one mode is kept, with its right vector doubled, so that the real part of the sum is y.
-    Each left vector is 1 at one entry of the state, so the modal coordinate has the unit of that entry.
+    `rate` has the shape (k,), `right` and `left` have the shape (k, n). One mode of a complex conjugate pair is kept,
+    with its right vector doubled, so that the real part of the sum over the modes is y. Each left vector is 1 at one
+    entry of the state, so the modal coordinate has the unit of that entry.
     """
 
     rate: NDArray[np.complex128]
@@ -196,11 +201,12 @@ def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.floa
 
 
 def modes(matrix: NDArray[np.float64]) -> Modes:
-    """Return the modes of a real matrix M, computed with many digits and rounded once; real modes first, then pairs.
+    """Return the modes of a real matrix M, real modes first, then one mode of each conjugate pair.
 
-    (s I − M)⁻¹ = adj(s I − M) / p(s) has the residue right · left, a matrix of rank one, at each root of its
-    characteristic polynomial p. A matrix with coinciding eigenvalues (critical damping) has no complete set of modes.
-    Its diagonal, which holds the dampings, is then changed by one or two parts in 1e9.
+    The modes are computed with 70 digits and rounded once. A matrix with coinciding eigenvalues (critical damping) has
+    no complete set of modes. Its diagonal, which holds the dampings, is then changed by one or two parts in 1e9.
+    Method: (s I − M)⁻¹ = adj(s I − M) / p(s) has the residue right · left, a matrix of rank one, at each root of its
+    characteristic polynomial p.
 
     Raises:
         ConfigError: the matrix is not finite, or has no usable modes because masses or stiffnesses are too far apart.
@@ -224,7 +230,7 @@ def modes(matrix: NDArray[np.float64]) -> Modes:
 
 
 def static_answer(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the state −M⁻¹ load in which y' = M y + load is at rest, shape (n,), computed with many digits.
+    """Return the state −M⁻¹ load in which y' = M y + load is at rest, shape (n,), computed with 70 digits.
 
     Raises:
         ConfigError: no such state exists.
@@ -251,8 +257,8 @@ def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.
 def _refined(matrix: NDArray[np.float64]) -> Modes | None:
     """Return the modes of a real matrix, computed with 70 digits, or None if they cannot be separated.
 
-    That is so if two eigenvalues coincide or are not found, or if a motion would be the sum of modes that cancel each
-    other: each more than `_WORST_CONDITION` times as large as the motion.
+    They cannot be separated if two eigenvalues coincide or are not found. The result is also None if a motion would be
+    the sum of modes that nearly cancel, each more than `_WORST_CONDITION` times as large as the motion.
     """
     polynomial, adjugate = resolvent(_exactly(matrix))
     scale = _balance(matrix)
@@ -292,9 +298,9 @@ def _residue(adjugate: Sequence[Matrix], rate: Complex, slope: Complex) -> list[
 def _balance(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a unit for each entry of the state y, shape (n,), in which displacements and speeds are of similar size.
 
-    The unit of a displacement is 1/ω [m], with ω² the stiffness of the columns over the mass on them, and all others
-    are 1.
-    Without these units the approximate eigenvalues would be poor, because the time scales of the rig differ by decades.
+    The unit of a displacement is 1/ω [m], with ω² the stiffness of the columns over the mass on them. All other units
+    are 1. Without these units the approximate eigenvalues would be inexact, because the time scales of the rig differ
+    by decades.
     """
     scale = np.ones(len(matrix))
     scale[[X1, XB] if len(matrix) > 2 else [X1]] = 1.0 / max(1e-300, math.sqrt(abs(matrix[V1, X1])))

@@ -60,8 +60,8 @@ def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] |
 def base_per_ampere(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return the complex displacement X_b of the inferior base per ampere of coil current, without the sphere [m/A].
 
-    X_b / I = K_f / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T], with T = X_1 / X_b from `transmissibility`: the structure
-    acts back on the base with the force m_1 ω² X_1. The result has the shape of `frequency_hz`.
+    X_b / I = K_f / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T], with T = X_1 / X_b from `transmissibility`. The last term
+    is the force m_1 ω² X_1 of the structure on the base. The result has the shape of `frequency_hz`.
     """
     c = constants(config)
     omega = 2.0 * math.pi * np.asarray(frequency_hz, float)

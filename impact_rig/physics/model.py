@@ -57,8 +57,8 @@ class Model(NamedTuple):
     Attributes:
         parameters: one record of PARAMETERS: the numbers of the equations of motion.
         systems: two records of SYSTEM: the linear systems with the sphere loose and attached.
-        table: one record of `outcome.TABLE`: outcomes of fast contacts. If none are tabulated, `high` is 0, the
-            upper end of its range of η_0 (dimensionless acceleration at the touch); then contacts are integrated.
+        table: one record of `outcome.TABLE`: outcomes of fast contacts. If none are tabulated, its field `high` is 0,
+            and contacts are integrated.
         law: the contact law's compiled force.
     """
 
@@ -75,8 +75,8 @@ def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None =
     """Return the model of a configuration; `kind`, if given, replaces its `drive.kind`.
 
     `rtol` is the relative tolerance of each integration step of a contact. The outcomes of contacts are tabulated only
-    if `rtol` is at least `CONTACT_RTOL` and the contact law is scale-free; otherwise every contact is integrated. At a
-    rigid wall a contact takes no time, and none is integrated.
+    if `rtol` is at least `CONTACT_RTOL` and the contact law is scale-free. Otherwise every contact is integrated,
+    except at a rigid wall, where a contact takes no time.
 
     Raises:
         ConfigError: structure and shaker have no usable modes or no position of rest.
@@ -121,7 +121,7 @@ def _parameters(p: SimpleNamespace) -> Any:
 
 
 def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
-    """Set the attributes of `p` that depend on the contact law, for bodies of the effective mass `m_eff` [kg]."""
+    """Set the attributes of `p` that depend on the contact law, for a pair of bodies of effective mass `m_eff` [kg]."""
     p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
     p.rigid, p.lets_go, p.remembers = force.rigid, force.lets_go, force.remembers
     if not force.rigid:
@@ -131,7 +131,7 @@ def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
 
 @lru_cache(maxsize=32)
 def _table(force: Force) -> Any:
-    """Return the table of contact outcomes of a force whose stiffness is 1, in units in which all masses are 1, too."""
+    """Return the table of contact outcomes of a force in dimensionless units, in which stiffness and masses are 1."""
     return tabulate(unit_parameters(force), compiled_force(force.function))
 
 
@@ -149,7 +149,8 @@ def unit_parameters(force: Force) -> Any:
 def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
     """Return the linear systems with the sphere loose and attached, and the rate of the fastest mode of both [1/s].
 
-    The result is cached, because it does not depend on gap and contact law: a change of these computes no modes.
+    The result is cached. It does not depend on gap and contact law, so a change of these does not compute the modes
+    again.
     """
     systems = record(SYSTEM, 2)
     for system, mass in zip(systems, (c.m_1, c.m_1 + sphere_kg), strict=True):

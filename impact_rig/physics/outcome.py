@@ -11,7 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tables of the outcomes of fast contacts: so few numbers determine an outcome that it is tabulated once per law.
+"""Tables of the outcomes of fast contacts, computed once for each contact law.
+
+The outcome of a fast contact depends on so few numbers that it can be tabulated.
 
 Let v0 be the approach speed, t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)), δ_0 = v0 t_0, Δ = δ/δ_0, θ = t/t_0 and Δ' =
 dΔ/dθ, with F in units of m_eff δ_0/t_0². A contact of a law F ~ K δ^b without a scale of its own then obeys
@@ -99,11 +101,11 @@ def perturbed_contact(
     steps: Records,
     out: Reals,
 ) -> bool:
-    """Integrate one contact in units made of m_eff, v0 and t_0, under η_0 and `perturbations` = (η_1, η_2, α, γ).
+    """Integrate one contact in dimensionless units; return whether the sphere left the wall at zero indentation.
 
-    The docstring of this module defines these. Fills `out` with the contact's outcome, shape (OUTCOMES,), and returns
-    whether the sphere left the wall at zero indentation (SEPARATED). If it did not, or a step has no solution, `out` is
-    not valid. `parameters`, `states` and `steps` are one record each, and are modified.
+    `eta_0` is η_0, and `perturbations` are (η_1, η_2, α, γ). The docstring of this module defines these symbols and the
+    units. The outcome of the contact is stored in `out`, shape (OUTCOMES,), and is valid only if the result is true.
+    `parameters`, `states` and `steps` are one record each, and are modified.
     """
     p, s, step = parameters[0], states[0], steps[0]
     eta_1, eta_2, gamma = perturbations[0], perturbations[1], perturbations[3]
@@ -146,10 +148,10 @@ def perturbed_contact(
 
 
 class Contacts:
-    """Source of integrated contacts of one law in dimensionless units, from which the table of the law is computed.
+    """Integrator of single contacts of one law in dimensionless units, from which the table of the law is computed.
 
-    The docstring of this module defines η_0, which stands for the acceleration at the touch, and the perturbations η_1,
-    η_2, α and γ.
+    The docstring of this module defines the arguments η_0, the acceleration at the touch, and η_1, η_2, α and γ, the
+    perturbations.
 
     Args:
         parameters: one record of PARAMETERS with the constants of the law, except that stiffness and masses are 1; it
@@ -164,8 +166,8 @@ class Contacts:
     def under(self, eta_0: float, perturbations: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
         """Integrate a contact under η_0 and `perturbations`; return whether the sphere left the wall, and the outcome.
 
-        The perturbations are (η_1, η_2, α, γ), and the outcome has the shape (OUTCOMES,). It is valid only if the
-        sphere left the wall.
+        The perturbations are (η_1, η_2, α, γ). The outcome has the shape (OUTCOMES,) and is valid only if the sphere
+        left.
         """
         out = np.empty(OUTCOMES)
         left = perturbed_contact(self._parameters, self._law, eta_0, perturbations, self._states, self._steps, out)
@@ -173,10 +175,10 @@ class Contacts:
         return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
-        """Return (whether the sphere left the wall in all contacts, f', ½ f''), f being the outcomes.
+        """Compute the first two derivatives of the outcomes f by one perturbation at η_0; return (left, f', ½ f'').
 
-        The dimensionless acceleration at the touch is η_0. The derivatives are those by perturbation number `which` of
-        (η_1, η_2, α, γ), computed from the differences between three contacts.
+        `which` is the index of the perturbation in (η_1, η_2, α, γ). The derivatives are differences between three
+        contacts, and `left` states whether the sphere left the wall in all three.
         """
         perturbations = np.zeros(4)
         left, plain = self.under(eta_0, perturbations)
@@ -189,9 +191,9 @@ class Contacts:
         return left and left_up and left_down, (up - down) / (2.0 * perturbation), half_second
 
     def rebound_squared(self, eta_0: float) -> float:
-        """Return the square of the speed with which the sphere leaves under η_0, 0 if it does not leave by itself.
+        """Return the square of the speed with which the sphere leaves under η_0, or 0 if it does not leave by itself.
 
-        In the contact's own units, in which the approach speed is 1, this is twice the energy of the rebound.
+        The unit of the speed is the approach speed.
         """
         left, out = self.under(eta_0, np.zeros(4))
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
@@ -200,9 +202,9 @@ class Contacts:
 def tabulate(parameters: Any, law: CompiledForce) -> Any:
     """Return the table of contact outcomes of a law, dtype TABLE, shape (1,).
 
-    The range of η_0, the dimensionless acceleration at the touch, starts at ± WIDEST. It is narrowed step by step until
-    the sphere rebounds fast enough at its ends and the series of `_series` are exact enough. If no tried range
-    suffices, `high` is 0, and every contact of the law is integrated.
+    The table covers a range of η_0, the dimensionless acceleration at the touch. The range starts as ± WIDEST. It is
+    narrowed until the sphere rebounds fast enough at both ends and the series of `_series` are exact enough. If no
+    tried range suffices, `high` is 0, and every contact of the law is integrated.
 
     Args:
         parameters: one record of PARAMETERS with the constants of the law, except that stiffness and masses are 1; it
@@ -226,11 +228,11 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
 
 
 def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
-    """Return the Chebyshev series of outcomes and their derivatives over a range of η_0; None if they do not suffice.
+    """Return the Chebyshev series of outcomes and their derivatives over a range of η_0, or None.
 
-    The caller then tries a narrower range. The series suffice if the sphere leaves the wall in every integrated
-    contact, and the last coefficients of the DECISIVE outcomes are negligible. The shape is (COEFFICIENTS,
-    SERIES_COUNT). The series of derivatives have fewer terms and are computed from fewer contacts.
+    The shape is (COEFFICIENTS, SERIES_COUNT). The result is None if the range is too wide: the sphere does not leave
+    the wall in some integrated contact, or the last coefficients of the DECISIVE outcomes are not negligible. The
+    series of derivatives have fewer terms than the series of outcomes.
     """
     series = np.zeros((COEFFICIENTS, SERIES_COUNT))
 
@@ -259,7 +261,7 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
 
 
 def _nodes(limits: tuple[float, float], count: int) -> list[float]:
-    """Return the `count` values of η_0 within `limits` at which a Chebyshev series of as many terms is determined.
+    """Return the `count` values of η_0 within `limits` that determine a Chebyshev series of `count` terms.
 
     The largest value is first. η_0 is the dimensionless acceleration that presses sphere and wall together at the
     touch.
@@ -269,9 +271,9 @@ def _nodes(limits: tuple[float, float], count: int) -> list[float]:
 
 
 def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the coefficients of the Chebyshev series through `values` at its nodes, one series per column.
+    """Return the coefficients of the Chebyshev series through `values` at the Chebyshev nodes, one series per column.
 
-    Both have the shape (number of nodes, columns).
+    `values` and the result have the shape (number of nodes, columns).
     """
     series, count = np.zeros_like(values), len(values)
     for n in range(count):
@@ -283,12 +285,12 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @kernel
 def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_left: float) -> bool:
-    """Compute from the table the outcome of the contact that begins in the state s; return whether it may be used.
+    """Compute the outcome of the contact that begins in the state s from the table; return whether it may be used.
 
-    If so, `table.outcome` holds it, in units made of m_eff, v0 and t_0. It may be used if the approach is not slower
-    than `speed_floor`, the contact is in the range of the table, and it ends within `time_left` seconds and before the
-    polynomials of `step` become inexact. Otherwise the contact must be integrated. `step` must be expanded about s, and
-    `t_0` is the contact's time scale [s].
+    The outcome is stored in `table.outcome`, in units made of m_eff, v0 and t_0. It may be used if the approach is not
+    slower than `speed_floor` and the contact is in the range of the table. The contact must also end within `time_left`
+    seconds, and while the polynomials of `step` are exact. `step` must be expanded about s, and `t_0` is the contact's
+    time scale [s].
     """
     speed = s.speed
     if speed < p.speed_floor:  # a limited approach speed would be a scale of its own
@@ -329,7 +331,7 @@ def apply_outcome(p: Record, table: Record, s: Record, step: Record, t_0: float)
     """Move the state s from the touch to the end of its contact, by the outcome that `look_up` stored in the table.
 
     Duration, impulse, peak force, largest indentation and lost energy of the contact are set in s as well. `step` must
-    be expanded about s, as for `look_up`, and `t_0` is the contact's time scale [s].
+    be expanded about s, and `t_0` is the contact's time scale [s].
     """
     found, speed = table.outcome, s.speed
     delta_0 = speed * t_0

@@ -13,11 +13,10 @@
 # limitations under the License.
 """Evaluation of a trajectory after its simulation, at any instants or as polynomials; it never changes the trajectory.
 
-In flight the closed form is expanded into Taylor polynomials of the structure's motion, about instants at fixed
-distances from the start of the flight. A sample then costs a dozen multiplications and does not depend on which other
-samples are requested. Inside a contact the integration step is solved again up to the instant; a contact whose outcome
-was tabulated is integrated here first. With F the contact force, F_c that of the columns, δ the indentation and `dent`
-the residual indentation,
+In flight the closed form of the structure's motion is expanded into Taylor polynomials, about instants at fixed
+distances from the start of the flight. So a sample does not depend on which other samples are requested. Inside a
+contact the integration step is solved again up to the instant. A contact whose outcome was tabulated is integrated here
+first. With F the contact force, F_c the force of the columns, δ the indentation and `dent` the residual indentation,
 
     x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + `dent` + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
 
@@ -127,9 +126,9 @@ class Trajectory(NamedTuple):
     Attributes:
         segments: records of SEGMENT: the drive.
         first_tick: number of the first tick, counted since the reset.
-        first_segment: for each tick the index of its first segment, and at the end the number of segments.
+        first_segment: for each tick the index of its first segment; the last element is the number of segments.
         history: records of STATE; the last one is the state after all segments.
-        first_state: for each segment the row of `history` with its first state, and at the end the row of the last
+        first_state: for each segment the row of `history` with its first state; the last element is the row of the last
             record.
     """
 
@@ -144,7 +143,7 @@ TRAJECTORY = Fields(Trajectory, (SEGMENT, int, INTEGERS, STATE, INTEGERS))
 
 
 class Query(NamedTuple):
-    """Request for the values of some quantities at instants, with room for the answer.
+    """Request for the values of some quantities at given instants, with memory for the values.
 
     Attributes:
         wanted: indices of the quantities in QUANTITIES, shape (q,).
@@ -163,14 +162,15 @@ QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, REALS_2D))
 
 
 class Spans(NamedTuple):
-    """Request for some quantities as polynomials on pieces of time, with room for the answer.
+    """Request for some quantities as polynomials on pieces of time, with memory for the coefficients.
 
     Attributes:
         wanted: indices of the quantities in QUANTITIES, shape (q,).
         tick: number of the tick of each piece, counted since the reset, shape (n,).
         start: start of the piece since the tick's start [s], shape (n,).
         end: end of the piece since the tick's start [s], shape (n,).
-        out: the coefficients in x = −1 … 1, constant first, which `fit` fills in, shape (q, n, NODES).
+        out: the coefficients, which `fit` fills in, constant first, shape (q, n, NODES). The variable x is −1 at the
+            start and 1 at the end of the piece.
     """
 
     wanted: NDArray[np.int64]
@@ -188,8 +188,7 @@ def places(names: tuple[str, ...]) -> NDArray[np.int64]:
     """Return the index of each of the named quantities in QUANTITIES, shape (number of names,).
 
     Raises:
-        ValueError: a name is not in QUANTITIES, or there are more names than quantities, for which no workspace has
-            room.
+        ValueError: a name is not in QUANTITIES, or there are more names than QUANTITIES.
     """
     if len(names) > len(QUANTITIES):
         raise ValueError(f"at most {len(QUANTITIES)} quantities can be evaluated at once, got {len(names)}")
@@ -202,14 +201,14 @@ class SamplingWorkspace(NamedTuple):
     Attributes:
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
-        steps: records of STATE: the states at the steps of a tabulated contact; the last record is for the state at its
-            start.
+        steps: records of STATE: the states at the steps of a tabulated contact. The last record is for the state at the
+            start of this contact.
         polynomials: Taylor polynomials, one row for each wanted quantity in use, shape (QUANTITIES, PIECE_TERMS).
         quantities: all quantities at one instant, shape (QUANTITIES,).
-        powers: factors (λ half)^k / k! of a Taylor series, see `_add_series`: first their real, then their imaginary
-            parts, shape (2, PIECE_TERMS).
+        powers: factors (λ half)^k / k! of a Taylor series (see `_add_series`), shape (2, PIECE_TERMS): real parts, then
+            imaginary parts.
         pulse: state of a tabulated contact: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
-        pulse_row: row of the history where that contact begins, −1 for none; shape (1,).
+        pulse_row: row of the history where the contact of `pulse` begins, −1 for none; shape (1,).
         tick: tick of each of a piece's nodes, shape (NODES,).
         offset: time of each node since its tick's start [s], shape (NODES,).
         values: values at a piece's nodes, one row for each wanted quantity in use, shape (QUANTITIES, NODES).
@@ -260,8 +259,9 @@ def new_sampling_workspace() -> SamplingWorkspace:
 def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
     """Return how to compute a quantity of the structure: (entry of y, order of derivative, whether it is the drive).
 
-    y is the structural state: displacements, velocities and coil current, so an acceleration is the first derivative of
-    a velocity. If the last result is true, the quantity is this derivative of the drive u, not of an entry of y.
+    y is the structural state: displacements, velocities and coil current. An acceleration is therefore the first
+    derivative of a velocity. If the last result is true, the quantity is this derivative of the drive u instead of an
+    entry of y.
     """
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
@@ -277,8 +277,8 @@ def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
 def _fill_powers(workspace: SamplingWorkspace, rate: complex, half: float) -> int:
     """Fill `workspace.powers` with (λ half)^k / k! for k = 0, 1, …, where λ = `rate`; return the number of terms.
 
-    λ is that of the drive (jω) or of a mode. The number is PIECE_TERMS, but 2 for λ = 0, because a drive without
-    oscillation is a straight line. `half` is the unit of time of the polynomial [s], such as half of a piece.
+    `half` is the unit of time of the polynomial [s]. The number of terms is PIECE_TERMS, but 2 for λ = 0, because a
+    drive without oscillation is a straight line.
     """
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS
@@ -299,10 +299,10 @@ def _add_series(
     order: int,
     half: float,
 ) -> None:
-    """Add to `poly` the Taylor series in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
+    """Add the Taylor series of Re[(value + growth τ) exp(λ τ)], differentiated `order` times by τ, to `poly`.
 
-    The derivatives are by τ. λ is `rate`, and τ the time since the instant about which the series is expanded. The
-    first `terms` numbers of `workspace.powers` are used, which must have been filled in for the same λ and `half`.
+    λ is `rate`. τ is the time since the instant about which the series is expanded, and the variable of the series is τ
+    / `half`. `workspace.powers` must hold `terms` numbers for the same λ and `half`.
     """
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
@@ -326,8 +326,8 @@ def _expand_flight(
 ) -> None:
     """Fill `poly` with a quantity's Taylor polynomial about the instant `since` seconds after the flight's start.
 
-    The variable of the polynomial is the time after this instant [s]. The quantity must be one for which
-    `_is_of_structure` is true: a motion of a base, or the current of a coil.
+    The variable of the polynomial is the time after this instant [s]. The quantity must be a motion of a base or the
+    current of a coil, see `_is_of_structure`.
     """
     poly[:] = 0.0
     t = flight.t_b + since
@@ -352,9 +352,10 @@ def _expand_flight(
 
 @kernel
 def _is_of_structure(p: Record, quantity: int) -> bool:
-    """Return whether a quantity has a Taylor polynomial in flight: a motion of a base, or the current of a coil.
+    """Return whether a quantity has a Taylor polynomial in flight.
 
-    The current has none if the base is prescribed, because there is no coil then.
+    The motions of both bases and the coil's current have one. If the base is prescribed, there is no coil, and the
+    result for the current is false.
     """
     of_sphere = quantity in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT)
     return not (of_sphere or (quantity == OF_CURRENT and p.drive_kind == PRESCRIBED))
@@ -364,8 +365,8 @@ def _is_of_structure(p: Record, quantity: int) -> bool:
 def _structure_quantity(s: Record, quantity: int) -> int:
     """Return the quantity whose Taylor polynomial is needed to compute a given quantity in the flight from s.
 
-    While the sphere is ATTACHED, its motion and the force of a wall follow from the motion of the superior base. In all
-    other cases it is the given quantity itself.
+    In phase ATTACHED, motion of the sphere and wall forces are computed from a quantity of the superior base. In all
+    other cases the result is the given quantity itself.
     """
     if s.phase == ATTACHED:  # one body: the sphere moves with the structure, and a wall may push it
         if quantity in (OF_X_2, OF_V_2, OF_A_2):
@@ -379,8 +380,8 @@ def _structure_quantity(s: Record, quantity: int) -> int:
 def _quantity_in_flight(p: Record, s: Record, quantity: int, poly: Reals, tau: float, since: float) -> float:
     """Return the value of a quantity `since` seconds after the start of the flight from s.
 
-    `poly` is the Taylor polynomial of the quantity that `_structure_quantity` names, and `tau` the time since the
-    instant about which it is expanded [s]. A loose sphere follows a parabola, for which `poly` is not used.
+    `poly` is the Taylor polynomial of the quantity that `_structure_quantity` returns. `tau` is the time since the
+    instant about which `poly` is expanded [s]. The motion of a loose sphere is a parabola and does not need `poly`.
     """
     if quantity == OF_CURRENT and p.drive_kind == PRESCRIBED:
         return 0.0
@@ -404,11 +405,11 @@ def _quantity_in_flight(p: Record, s: Record, quantity: int, poly: Reals, tau: f
 
 @kernel
 def integrate_tabulated(model: Model, f: DriveSegment, step: Record, steps: Records) -> int:
-    """Integrate a tabulated contact, storing the state of each step in `steps[0]`, `steps[1]`, …; return their number.
+    """Integrate a contact whose outcome came from a table; return the number of states that were stored in `steps`.
 
-    The contact begins in the state `steps[_MOST_STEPS]`, which is overwritten. The simulation took the outcome of this
-    contact from a table and has no states within it. The last state is at the end of the contact, or where a step had
-    no solution or the room in `steps` ran out.
+    The contact begins in the state `steps[_MOST_STEPS]`, which is overwritten. The states at its steps are stored in
+    `steps[0]`, `steps[1]`, and so on. The last state is at the end of the contact, or where a step had no solution or
+    the room in `steps` ran out.
     """
     p, s = model.parameters[0], steps[_MOST_STEPS]
     drop_dense_output(step)
@@ -438,11 +439,10 @@ def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> 
 
 @kernel
 def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, float], since: float) -> float:
-    """Return the length, in the variable χ, of the part of a contact's step that lasts about `since` seconds.
+    """Return the length in χ of the first part of a contact's step, which lasts about `since` seconds.
 
-    χ is the variable of integration, with dt = w dχ. The length is found from the dense output of the whole step
-    `step`, which begins at the state `s`. `end_point`, the end of the whole step, is (its duration [s], w, δ'), with w
-    the square root of the indentation δ, in SI units.
+    χ is the variable of integration, with dt = w dχ. `step` is the whole step, which begins at the state `s`.
+    `end_point` is the end of the whole step: (its duration [s], w, δ'), with w the square root of the indentation δ.
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end_point[0])
@@ -465,9 +465,9 @@ def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, flo
 def _solve_up_to(
     model: Model, s: Record, step: Record, end_point: tuple[float, float, float], since: float
 ) -> tuple[float, float]:
-    """Return (w, δ') `since` seconds after the start of a contact's step, by solving a shorter step that ends there.
+    """Return (w, δ') at `since` seconds after the start of a contact's step, by solving a shorter step that ends there.
 
-    `end_point`, the end of the whole step, is (its duration [s], w, δ'), with w the square root of the indentation δ.
+    `end_point` is the end of the whole step: (its duration [s], w, δ'), with w the square root of the indentation δ.
     """
     if s.h == 0.0 or since <= 0.0:
         return s.w, s.speed
@@ -492,11 +492,11 @@ def _quantities_in_contact(
     solved_there: bool,
     out: Reals,
 ) -> None:
-    """Fill `out` with all QUANTITIES at a point of a contact's step, which begins at s; `step` is expanded about s.
+    """Fill `out` with all QUANTITIES at a point of a contact's step, which begins at s.
 
-    `point` is (time since the start of the step [s], w, δ'), with w the square root of the indentation δ.
-    `solved_there` is true if the step has been solved to end at the point. Only then is the effect of the indentation
-    on the structure through the columns known. Otherwise it is left out, as it changes the result by a millionth.
+    `step` must be expanded about s. `point` is (time since the start of the step [s], w, δ'), with w the square root of
+    the indentation δ. `solved_there` is true if the step has been solved to end at the point. Only then does the result
+    include the effect of the indentation on the structure through the columns, which is about a millionth.
     """
     p, side = model.parameters[0], s.side
     since, w, speed = point
@@ -552,7 +552,7 @@ def _sample_contact(
     query: Query,
     workspace: SamplingWorkspace,
 ) -> None:
-    """Fill `query.out` for the instants number start … stop − 1, all in the part that begins at `history[row]`.
+    """Fill `query.out` for the instants number `start` to `stop` − 1, all in the part that begins at `history[row]`.
 
     This part is one integration step of a contact, or a whole tabulated contact. `f` is the segment of the drive.
     """
@@ -578,7 +578,7 @@ def _sample_contact(
 
 @kernel
 def begin_flight_at(model: Model, f: DriveSegment, s: Record, flight: Record) -> Record:
-    """Prepare the closed form of the flight that begins at s in `flight`; return the linear system of this flight."""
+    """Prepare `flight` for the evaluation of the flight that begins at s; return the linear system of this flight."""
     renewed = choose_system(model, f, s, flight)
     system = model.systems[flight.system]
     if renewed:
@@ -593,7 +593,7 @@ def begin_flight_at(model: Model, f: DriveSegment, s: Record, flight: Record) ->
 def _sample_flight(
     model: Model, f: DriveSegment, s: Record, start: int, stop: int, query: Query, workspace: SamplingWorkspace
 ) -> None:
-    """Fill `query.out` for the instants number start … stop − 1, all of which are in the flight that begins at s."""
+    """Fill `query.out` for the instants number `start` to `stop` − 1, which are all in the flight that begins at s."""
     p, flight = model.parameters[0], workspace.flight[0]
     system = begin_flight_at(model, f, s, flight)
     expanded_interval = -1
@@ -615,10 +615,10 @@ def _sample_flight(
 
 @kernel
 def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int, int]:
-    """Return (row of the segment, row of the state, row after the segment's last state) for an instant.
+    """Return (row of the drive segment, row of the state, row after the segment's last state) for an instant.
 
-    The instant lies in the drive segment of the first row, and in the motion that the state of the second row begins.
-    `tick` counts from the first tick of the trajectory, and `offset` is the time since the start of the tick [s].
+    The row of the state is that of the last state at or before the instant. `tick` counts from the first tick of the
+    trajectory, and `offset` is the time since the start of the tick [s].
     """
     segment, end_segment = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
     while end_segment - segment > 1:
@@ -635,8 +635,8 @@ def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int
 def sample(model: Model, trajectory: Trajectory, workspace: SamplingWorkspace, query: Query) -> bool:
     """Fill `query.out` with the quantities at the instants; return whether the trajectory contains all their ticks.
 
-    If not, the values from the first instant outside the trajectory on are not filled in. The instants may be in any
-    order; consecutive ones in the same flight or step of a contact are evaluated together.
+    If the result is false, the values from the first instant outside the trajectory on are missing. The instants may be
+    in any order. Consecutive instants in the same flight or step of a contact are evaluated together.
     """
     workspace.flight[0].omega = -1.0
     return _sample(model, trajectory, query, workspace)
@@ -674,9 +674,9 @@ def _sample(model: Model, trajectory: Trajectory, query: Query, workspace: Sampl
 def _fit_flight(
     p: Record, system: Record, f: DriveSegment, flight: Record, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill `spans.out` for piece i with the polynomials of the wanted quantities.
+    """Fill `spans.out` for piece i with the polynomials of the wanted quantities in a flight.
 
-    Each of these must be a motion of a base or the current of a coil (`_is_of_structure`). The piece must lie in the
+    Each quantity must be a motion of a base or the current of a coil (`_is_of_structure`). The piece must lie in the
     flight for which `flight` has been prepared.
     """
     half = 0.5 * (spans.end[i] - spans.start[i])
@@ -716,7 +716,7 @@ def _fit_contact(
 ) -> None:
     """Fill `workspace.values` with the quantities at the nodes of piece i, which lies inside one step of a contact.
 
-    They come from the dense output of the step that begins at `history[row]`.
+    The values come from the dense output of the step that begins at `history[row]`.
     """
     step, s = workspace.step[0], history[row]
     t_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
@@ -733,9 +733,9 @@ def _fit_contact(
 
 @kernel
 def _depth_acceleration(model: Model, step: Record, per_v0: float, since: float, depth: float, speed: float) -> float:
-    """Return δ'' [m/s²], `since` seconds after the touch, in a contact whose outcome the simulation took from a table.
+    """Return the acceleration δ'' [m/s²] of the indentation, `since` seconds after the touch, in a tabulated contact.
 
-    `depth` [m] and `speed` [m/s] are the indentation and its rate; `step` must be expanded about the touch.
+    `depth` [m] and `speed` [m/s] are the indentation and its rate. `step` must be expanded about the touch.
     """
     p = model.parameters[0]
     w = math.sqrt(max(0.0, depth))
@@ -749,7 +749,7 @@ def _depth_acceleration(model: Model, step: Record, per_v0: float, since: float,
 def _integrate_pulse(
     model: Model, step: Record, per_v0: float, pulse: Reals, since_end: float, longest_step: float
 ) -> None:
-    """Move `pulse` = (time since the touch [s], δ, δ') of a tabulated contact on to the time `since_end`.
+    """Move `pulse`, the state (time since the touch [s], δ, δ') of a tabulated contact, on to the time `since_end` [s].
 
     The equation of motion is integrated by the fourth-order Runge–Kutta method, in steps of at most `longest_step` [s].
     """
@@ -776,10 +776,9 @@ def _integrate_pulse(
 def _fit_pulse(
     model: Model, f: DriveSegment, history: Records, row: int, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill `workspace.values` with the quantities at the nodes of piece i, by integrating a tabulated contact to them.
+    """Fill `workspace.values` with the quantities at the nodes of piece i, which lies in a tabulated contact.
 
-    The nodes are densest at the ends of the piece, and so at the ends of the contact, where the force has kinks. The
-    error of the force is at most 3e-4 of its peak.
+    The contact is integrated to the nodes. The error of the force is at most 3e-4 of its peak.
     """
     p, step, pulse, s = model.parameters[0], workspace.step[0], workspace.pulse, history[row]
     since_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - s.t, 0.5 * (spans.end[i] - spans.start[i])
@@ -800,8 +799,8 @@ def _fit_pulse(
 def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, workspace: SamplingWorkspace) -> None:
     """Fill `workspace.values` with the quantities at the nodes of piece i by sampling them one by one.
 
-    `fit` uses this if no faster way is possible: for example, if the piece contains parts of several flights or steps,
-    or if the sphere's motion or a force is wanted in flight.
+    This is for pieces that no faster function can fit. Examples are a piece with parts of several flights or steps, and
+    the sphere's motion or a force in flight.
     """
     middle, half = 0.5 * (spans.start[i] + spans.end[i]), 0.5 * (spans.end[i] - spans.start[i])
     for j in range(NODES):
@@ -811,16 +810,15 @@ def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, wor
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
 def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingWorkspace) -> bool:
-    """Fill `spans.out` with polynomials of the quantities on the pieces; return whether the trajectory has their ticks.
+    """Fit polynomials to the quantities on the pieces and store them in `spans.out`; return whether all ticks exist.
 
-    If not, the caller asked for a tick before or after the trajectory: the pieces from the first such one on are not
-    filled in.
+    If the result is false, a piece is in a tick before or after the trajectory. This piece and all pieces after it are
+    then not filled in.
 
-    The error depends on the piece. In flight, it is a part of the fastest motion. A piece of up to 2 radians of this
-    motion on either side of its middle loses 2^14 / 14! = 2e-7 at the end of the Taylor polynomial, and 2 / 8! = 5e-5
-    where this is shortened to eight terms. Longer pieces are fitted through eight samples, and their error is not
-    limited. In a step of a contact the error is about a millionth. In a tabulated contact the polynomial misses the
-    force by up to a thousandth of its peak.
+    The error depends on the piece. In flight, it is about 5e-5 of the fastest motion if the piece extends at most 2
+    radians of this motion to either side of its middle. Longer pieces are fitted through eight samples, and their error
+    is not limited. In a step of a contact the error is about a millionth. In a tabulated contact the polynomial misses
+    the force by up to a thousandth of its peak.
     """
     p, flight, history = model.parameters[0], workspace.flight[0], trajectory.history
     flight.omega, workspace.pulse_row[0] = -1.0, -1
@@ -869,9 +867,9 @@ TABULATED_PIECES = 3
 def refine(trajectory: Trajectory, tick: Integers, offset: Reals) -> int:
     """Fill `tick` and `offset` [s] with the instants between which every quantity is smooth; return their number.
 
-    These are the instants of all states in the history but the last, which is the end of the motion, and also two
-    instants inside each tabulated contact. They are in order, and some are equal. The arrays must have room
-    for TABULATED_PIECES instants per state.
+    The instants are the times of all states in the history except the last state, and two instants inside each
+    tabulated contact. They are in order, and some are equal. The arrays must have room for TABULATED_PIECES instants
+    per state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1

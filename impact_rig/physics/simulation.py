@@ -73,17 +73,18 @@ SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 
 
 class Motion:
-    """Motion of the rig over consecutive ticks, which `Simulation.advance` returns; it can be evaluated at any instant.
+    """Motion of the rig over consecutive ticks, the result of `Simulation.advance`; it can be evaluated at any instant.
 
     A tick consists of one drive segment, or of several if the drive is a stream. An instant is given as the number of
-    its tick, counted since the reset, and its offset from the start of that tick [s]. So values do not depend on how
-    ticks are divided among calls of `advance`. Motions that are evaluated one after the other may share `work`, their
-    scratch memory. In a rig without a sphere, x_2, v_2 and a_2 have no meaning.
+    its tick, counted since the reset, and its offset from the start of this tick [s]. The values do not depend on how
+    ticks are divided among calls of `advance`. Several motions may share `work`, their scratch memory, if they are
+    evaluated one after the other. In a rig without a sphere, x_2, v_2 and a_2 have no meaning.
 
     Attributes:
         first_tick: number of the first tick, counted since the reset.
         segments: the drive, shape (n,), dtype `flight.SEGMENT`.
-        first_segment: for each tick the row of its first segment in `segments`, and at the end the number of segments.
+        first_segment: for each tick the row of its first segment in `segments`; the last element is the number of
+            segments.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier motion.
     """
 
@@ -96,7 +97,7 @@ class Motion:
 
     @property
     def sampled(self) -> tuple[Model, Trajectory, SamplingWorkspace]:
-        """First arguments of every kernel that evaluates this motion; `sampling.SAMPLED` lists their types."""
+        """First arguments of every kernel that evaluates this motion: model, trajectory and scratch memory."""
         return self._model, self._trajectory, self._sampling
 
     @property
@@ -105,23 +106,25 @@ class Motion:
         return self.first_tick + len(self.first_segment) - 2
 
     def sample(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
-        """Return all quantities (dtype `SAMPLE`, SI) at instants (tick, offset into it), in the shape of the instants.
+        """Return all quantities at some instants, dtype `SAMPLE`, SI, in the shape of the instants.
 
-        The evaluation is fastest if the instants are in the order of time. Offsets beyond the tick are not detected.
+        An instant is a tick and the offset from its start [s]. The evaluation is fastest if the instants are in the
+        order of time. Offsets beyond the tick are not detected.
 
         Raises:
-            ValueError: a tick is not one of this motion's, or the shapes differ.
+            ValueError: a tick is not in this motion, or the shapes differ.
         """
         found = np.moveaxis(self.quantities(QUANTITIES, tick, offset_s), 0, -1)
         rows: NDArray[np.void] = np.ascontiguousarray(found).view(SAMPLE)[..., 0]
         return rows
 
     def quantity(self, name: str, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the quantity of `SAMPLE` called `name`, in SI, at instants (tick, offset into it), in the same shape.
+        """Return the quantity of `SAMPLE` called `name` at some instants, SI, in the shape of the instants.
+
+        An instant is a tick and the offset from its start [s]. Offsets beyond the tick are not detected.
 
         Raises:
-            ValueError: a tick is not one of this motion's, the shapes differ, or no quantity has such a name. Offsets
-                beyond the tick are not detected.
+            ValueError: a tick is not in this motion, the shapes differ, or no quantity has such a name.
         """
         column: NDArray[np.float64] = self.quantities((name,), tick, offset_s)[0]
         return column
@@ -129,13 +132,14 @@ class Motion:
     def quantities(
         self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities of `SAMPLE`, in SI, at instants (tick, offset into it), shape (names, *instants).
+        """Return some quantities of `SAMPLE` at some instants, SI, shape (names, *instants).
 
-        This is faster than one call of `quantity` for each.
+        An instant is a tick and the offset from its start [s]. Offsets beyond the tick are not detected. One call of
+        this method is faster than one call of `quantity` for each name.
 
         Raises:
-            ValueError: a tick is not one of this motion's, the shapes differ, no quantity has such a name, or there are
-                more names than `QUANTITIES`. Offsets beyond the tick are not detected.
+            ValueError: a tick is not in this motion, the shapes differ, no quantity has such a name, or there are more
+                names than `QUANTITIES`.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)
@@ -152,10 +156,11 @@ class Motion:
     def polynomials(
         self, names: tuple[str, ...], tick: NDArray[np.int64], start_s: NDArray[np.float64], end_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities of `SAMPLE` on pieces of time between breakpoints, as polynomials of eight terms.
+        """Return some quantities of `SAMPLE` as polynomials of eight terms, one for each piece of time.
 
-        The variable x of a polynomial is −1 at the start of its piece and 1 at the end; its values are in SI.
-        `sampling.fit` describes the error, which is larger in a piece with a breakpoint inside.
+        The variable x of a polynomial is −1 at the start of its piece and 1 at the end. The values are in SI.
+        `sampling.fit` describes the error, which is larger in a piece with a breakpoint (see `breakpoints`) inside.
+        Times beyond the tick are not detected.
 
         Args:
             names: names of the quantities.
@@ -167,8 +172,8 @@ class Motion:
             The coefficients, constant first, shape (names, n, NODES).
 
         Raises:
-            ValueError: a tick is not one of this motion's, the shapes differ, no quantity has such a name, or there
-                are more names than `QUANTITIES`. Times beyond the tick are not detected.
+            ValueError: a tick is not in this motion, no quantity has such a name, or there are more names than
+                `QUANTITIES`.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         start_s, end_s = (np.ascontiguousarray(times, np.float64) for times in (start_s, end_s))
@@ -184,10 +189,10 @@ class Motion:
         return out
 
     def cycles(self) -> NDArray[np.void]:
-        """Return for each tick both bases' complex amplitudes, and the sphere's motion at the start, dtype `CYCLE`.
+        """Return the complex amplitudes of both bases and the sphere's motion at the start of each tick, dtype `CYCLE`.
 
-        The amplitude X means the part Im(X exp(jωt)) of a motion at the drive frequency [m], with t from the start of
-        the tick.
+        There is one record per tick. The amplitude X [m] gives the part Im(X exp(jωt)) of a motion at the drive
+        frequency, with t from the start of the tick.
 
         Raises:
             ValueError: a tick is not a single segment of the drive with one complete cycle; impacts do not matter.
@@ -209,10 +214,10 @@ class Motion:
         )
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return (tick, offset) of the instants between which every quantity is smooth, in order; some are equal.
+        """Return (tick, offset [s]) of the instants between which every quantity is smooth, in order; some are equal.
 
-        These are starts of drive segments, events and steps of contacts, and two instants inside each tabulated
-        contact, which is too long for one polynomial of `polynomials`. The end of the motion is not among them.
+        The instants are the starts of drive segments, events, the steps of contacts, and two instants inside each
+        tabulated contact. The end of the motion is not included.
         """
         most = TABULATED_PIECES * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
@@ -240,9 +245,9 @@ _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
 @attrs.frozen
 class EnergyAccount:
-    """Energies since the account began [J], each integrated independently: `imbalance` measures the integration error.
+    """Energies since the account began [J], each integrated independently; `imbalance` shows the integration error.
 
-    The account begins again at a reset, with another configuration, at a pluck, and when the state is set. But
+    The account begins again at a reset, with another configuration, at a pluck, and when the state is set.
     `Simulation.set_state` starts it again only if the simulation was created with `account`.
 
     Attributes:
@@ -263,7 +268,10 @@ class EnergyAccount:
 
     @property
     def imbalance(self) -> float:
-        """Work minus losses minus stored energy [J]: the integration error; a meaningless number without `account`."""
+        """Work minus losses minus stored energy [J]: the integration error.
+
+        It has no meaning if the simulation was created without `account`.
+        """
         return self.work - self.columns - self.shaker - self.contact - self.friction - self.stored
 
 
@@ -274,8 +282,8 @@ class Simulation:
         config: configuration of the rig.
         rtol: relative tolerance of each step of a contact.
         account: whether to compute the work of the drive and all losses (flights then cost about twice as much).
-        model: the model of `config` if it is already built; it keeps its own tolerance, and `rtol` is that of models
-            that the simulation builds later.
+        model: the model of `config` if it is already built. It keeps its own tolerance; `rtol` applies to models that
+            the simulation builds later.
 
     Attributes:
         tick: number of the next tick to simulate, counted since the reset. The drive segments of a tick give its
@@ -313,8 +321,8 @@ class Simulation:
     def reset(self) -> None:
         """Set structure and shaker to rest at zero, the sphere to rest at `sphere.start`, and the tick to 0.
 
-        `sphere.start` is the left wall, the right wall or the centre between them. The energy account begins again. A
-        base that `pluck` locked is released.
+        `sphere.start` is the left wall, the right wall or the centre between the walls. The energy account begins
+        again. The inferior base is released if `pluck` has locked it.
         """
         if self.locked:
             self._model, self.locked = build(self._config, self._rtol), False
@@ -324,8 +332,8 @@ class Simulation:
     def configure(self, config: MechanicsSetup, model: Model | None = None) -> None:
         """Change the configuration: the structure keeps its motion, and the sphere is at rest at `sphere.start` again.
 
-        With another kind of drive the structure starts at rest at zero as well, unless `pluck` has locked the inferior
-        base. A locked base stays locked. The energy account begins again, and the count of ticks continues.
+        If the kind of drive changes, the structure starts at rest at zero as well, unless the inferior base is locked.
+        A base that `pluck` has locked stays locked. The energy account begins again, and the count of ticks continues.
 
         Args:
             config: the new configuration.
@@ -347,8 +355,8 @@ class Simulation:
     def pluck(self, displacement_m: float) -> None:
         """Lock the inferior base at zero and release the superior base at rest from a displacement: a free decay.
 
-        The sphere is at rest at `sphere.start`, relative to the superior base. The inferior base stays locked, whatever
-        the drive, until `reset`. The count of ticks continues.
+        The sphere starts at rest at `sphere.start`, relative to the superior base. The inferior base stays locked until
+        `reset`, and the drive has no effect. The count of ticks continues.
         """
         self._model = build(self._config, self._rtol, kind="prescribed")
         self.locked = True
@@ -365,10 +373,10 @@ class Simulation:
         x_b: float = 0.0,
         v_b: float = 0.0,
     ) -> None:
-        """Set the state (SI): superior base, sphere relative to it (d = x_2 − x_1), and inferior base.
+        """Set the state (SI): motion of superior base, sphere relative to it (d = x_2 − x_1), and inferior base.
 
-        x_b and v_b have no effect on the motion if the inferior base is prescribed. A coil current is set to zero, and
-        the energy account begins again. d is not checked against the walls.
+        x_b and v_b have no effect on the motion if the inferior base is prescribed. The coil current is set to zero,
+        and the energy account begins again. d is not checked against the walls.
         """
         y = np.zeros(STRUCTURE)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
@@ -379,9 +387,9 @@ class Simulation:
     def state(self) -> NDArray[np.float64] | None:
         """Return the present state, SI, shape (7,), or None during a contact.
 
-        The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate. They do not describe a state
-        during a contact, because its force also depends on how the contact began. A wall's residual indentation is
-        not included.
+        The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and the rate of x_2 − x_1. A wall's residual
+        indentation is not included. During a contact these numbers do not determine the state, because the contact
+        force also depends on how the contact began.
         """
         s = self._work.states[0]
         if s["phase"] == CONTACT:
@@ -389,11 +397,11 @@ class Simulation:
         return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Set the seven numbers of motion and current that `state` returned; the next `advance` continues from them.
+        """Set the seven numbers of motion and current that `state` returns; the next `advance` continues from them.
 
-        A sphere that is on a wall and at rest relative to it stays there, in phase ATTACHED, until the wall moves away
-        from the sphere. With friction of the guide, a sphere at rest between the walls is ATTACHED as well, until it
-        slips. The energy account begins again if this simulation was created with `account`.
+        A sphere that is on a wall and at rest relative to it stays attached to the wall until the wall moves away from
+        it. With friction of the guide, a sphere at rest between the walls is attached as well, until it slips. The
+        energy account begins again if this simulation was created with `account`.
         """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
@@ -410,7 +418,9 @@ class Simulation:
             self._stored = self.stored_energy()
 
     def advance(self, segments: NDArray[np.void]) -> Motion:
-        """Simulate the drive segments (dtype `flight.SEGMENT`), the first of which begins a tick; return their motion.
+        """Simulate the drive segments (dtype `flight.SEGMENT`) from the present state on; return their motion.
+
+        The first segment must begin a tick.
 
         Raises:
             SimulationError: the motion makes no progress, a step of a contact cannot be solved, the contact law raised
@@ -472,7 +482,7 @@ class Simulation:
     def stored_energy(self) -> float:
         """Return the kinetic and potential energy of the rig in its present state [J].
 
-        It includes the energy of the indentation during a contact and, if the drive is a voltage, that of the coil's
+        It includes the energy of the indentation during a contact and, with a voltage drive, the energy of the coil's
         field. The inferior base and its suspension count only if the base is not prescribed.
         """
         p, s, y = self._model.parameters[0], self._state, self._structure()
@@ -525,10 +535,7 @@ class Simulation:
 
 
 def _longer(rows: Any, kind: np.dtype[np.void]) -> Any:
-    """Return a copy of records with room for four times as many in total; the additional ones are not initialised.
-
-    They are copied as bytes, because NumPy's copy, field by field, takes twelve times as long.
-    """
+    """Return a copy of records with room for four times as many; the additional records are not initialised."""
     grown = room(_GROWTH * len(rows), kind)
     grown.view(np.uint8)[: rows.nbytes] = rows.view(np.uint8)
     return grown

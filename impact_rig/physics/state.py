@@ -13,9 +13,9 @@
 # limitations under the License.
 """Records of the kernels: parameters of the equations, state of the rig, and workspaces.
 
-Everything is a record with named fields in SI units. A field has one unit; if its meaning depends on the phase, the
-comment next to it explains how. A record is an element of a recarray, so compiled code and plain Python both access a
-field as `state.d_rate`.
+Each record has named fields in SI units. A field has one unit; if its meaning depends on the phase, the comment next to
+it explains how. A record is an element of a recarray, so compiled code and plain Python both access a field as
+`state.d_rate`.
 
 A trajectory is the history of states at its events and at the steps of its contacts. Each state contains the phase of
 the motion that starts there, which is enough to evaluate the motion up to the next state.

@@ -14,9 +14,9 @@
 """Drive of a shaker as a stream of samples: the buffer, the samples in effect, and the replacement of missing samples.
 
 Sample k is k · 10⁹ // rate nanoseconds after scan 0. Between samples the drive is a straight line (first-order hold) or
-the sample before (zero-order hold); its segments end at samples and at ticks of the command grid. The samples that have
-arrived when a tick is simulated take effect in it; missing ones are replaced. It has no effect into which blocks the
-samples were divided, in which order they arrived, and whether some arrived twice.
+constant at the sample before (zero-order hold). A drive segment ends at each sample and at each tick of the command
+grid. When a tick is simulated, the samples that have arrived take effect in it, and missing samples are replaced. The
+division of the samples into blocks, their order of arrival and repeated arrivals have no effect.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SUM_TICKS = 100
 
 
 class Event(enum.StrEnum):
-    """Kind of an event in a stream: samples begin or cease to take effect, or the checksum of some is reported."""
+    """Kind of an event in a stream: samples begin or cease to take effect, or a checksum of samples is reported."""
 
     BEGIN = "begin"
     END = "end"
@@ -91,11 +91,11 @@ class Buffer:
         self._whole_to = 0  # all samples are present from the first one played to here
 
     def put(self, first: int, values: NDArray[np.float64]) -> None:
-        """Store the samples from number `first` on, at most the capacity; an empty array marks the stream's end there.
+        """Store samples, numbered from `first` on; an empty array marks the end of the stream at `first`.
 
-        If the sample with the number of such an end arrives later, it cancels the end. Samples with larger numbers do
-        not, so the order of arrival has no effect. The caller must check that no sample has been played, or is further
-        ahead of the next one to play than the capacity.
+        If the sample at a marked end arrives later, it cancels the mark. Samples with larger numbers do not. The caller
+        must check that the samples are at most as many as the capacity, that none has been played, and that none is
+        further ahead of the next sample to play than the capacity.
         """
         self.ends = {end for end in self.ends if not first <= end < first + len(values)}
         if len(values) == 0:
@@ -105,37 +105,34 @@ class Buffer:
         self._tags[numbers % self.capacity] = numbers + 1
 
     def clear(self) -> None:
-        """Remove all samples, and all ends of the stream that the controller has set."""
+        """Remove all samples, and all ends of the stream that the controller has marked."""
         self._tags[:] = 0
         self._whole_to = 0
         self.ends.clear()
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Return for each of the samples first … end − 1 whether it is in the buffer, shape (end − first,).
+        """Return for each of the samples `first` to `end` − 1 whether it is in the buffer, shape (end − first,).
 
-        A played sample stays in the buffer until a later one takes its memory.
+        A played sample stays in the buffer until a later sample overwrites it.
         """
         numbers = np.arange(first, end)
         found: NDArray[np.bool_] = self._tags[numbers % self.capacity] == numbers + 1
         return found
 
     def values(self, first: int, end: int) -> NDArray[np.float64]:
-        """Return the values of the samples first … end − 1; those that are not in the buffer have arbitrary values."""
+        """Return the values of the samples `first` to `end` − 1; samples not in the buffer have arbitrary values."""
         found: NDArray[np.float64] = self._values[np.arange(first, end) % self.capacity]
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first sample from `first` on that is not in the buffer.
-
-        All samples from `first` up to it are in the buffer.
-        """
+        """Return the number of the first sample, from `first` on, that is not in the buffer."""
         at = max(first, self._whole_to)
         missing = np.flatnonzero(~self.there(at, first + self.capacity))
         self._whole_to = at + int(missing[0]) if len(missing) else first + self.capacity
         return self._whole_to
 
     def first_there(self, first: int) -> int | None:
-        """Return the number of the first sample from `first` on that is in the buffer, or None if there is none."""
+        """Return the number of the first sample, from `first` on, that is in the buffer, or None if there is none."""
         found = np.flatnonzero(self.there(first, first + self.capacity))
         return first + int(found[0]) if len(found) else None
 
@@ -143,17 +140,18 @@ class Buffer:
 class Stream:
     """Player of a stream: turns buffered samples into drive segments, tick by tick. Copies share the buffer.
 
-    To play a sample is to use it in the drive segments of a tick. If it is missing, a ramp to zero or the last value
-    replaces it.
+    To play a sample means to use it in the drive segments of a tick. A missing sample is replaced by a ramp to zero or
+    by the last value.
 
     Attributes:
         rate_hz: samples per second.
         capacity: number of samples that the buffer holds.
         buffer: buffered samples, by number.
-        played: number of the next sample to play, counted from 0; all earlier ones have taken effect or were replaced.
+        played: number of the next sample to play, counted from 0; all earlier samples have taken effect or were
+            replaced.
         state: state of the stream.
-        missing: number of samples that did not arrive in time and were replaced. Those before the first sample, and
-            those after the controller ended the stream or a stop, do not count.
+        missing: number of samples that did not arrive in time and were replaced. Samples that are missing before the
+            first sample, after a stop, or after the controller ended the stream, do not count.
         events: events that the owner of the stream has not collected yet.
     """
 
@@ -177,7 +175,7 @@ class Stream:
         self.set_ramp(shaker.ramp_s)
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the time [s] of the ramp to zero at missing samples, rounded up to whole samples, at least one.
+        """Set the time [s] of the ramp to zero at missing samples, rounded up to whole samples, at least one sample.
 
         A ramp under way starts again at the present value.
         """
@@ -197,10 +195,10 @@ class Stream:
         return sample * NS_PER_S // self.rate_hz
 
     def put(self, first: int, values: NDArray[np.float64]) -> int:
-        """Store a block of samples, numbered from `first` on; return how many came too late and were ignored.
+        """Store a block of samples, numbered from `first` on; return how many arrived too late and were ignored.
 
-        A sample is too late if its number is below `played`; others replace stored samples of the same number. An empty
-        block ends the stream at `first`, or at `played` if that is later.
+        A sample is too late if its number is below `played`. Other samples replace stored samples of the same number.
+        An empty block ends the stream at `first`, or at `played` if `played` is later.
 
         Raises:
             CommandError: the block reaches further ahead than the buffer does; nothing is stored.
@@ -222,8 +220,8 @@ class Stream:
     def stop(self, tick: int) -> float:
         """Drop all buffered samples, and return the value of the drive at the start of `tick`, the next tick.
 
-        From there on the stream itself is zero until new samples take effect. So the caller must add a ramp to zero
-        from the returned value. The stream cannot ramp by itself, because its samples may be a second apart.
+        From this instant on the stream is zero until new samples take effect. The caller must add a ramp from the
+        returned value to zero, so that the drive does not jump.
         """
         value = self._value_at(tick)
         self.buffer.clear()
@@ -249,8 +247,8 @@ class Stream:
     def ticks_until_event(self, tick: int) -> int:
         """Return how many ticks to play from `tick` on, so that the next event of the stream is in the last of them.
 
-        The event is the first sample to take effect or, while samples take effect, the first missing one; or a
-        checksum, which is due at every full second. So the result is at most one second (`SUM_TICKS`).
+        The next event is one of three: the first sample takes effect, the first sample is missing while others take
+        effect, or a checksum is due at a full second. So the result is at most one second (`SUM_TICKS`).
         """
         ahead = SUM_TICKS - tick % SUM_TICKS
         at = self._first_missing() if self.state is StreamState.PLAYING else self.buffer.first_there(self.played)
@@ -269,9 +267,9 @@ class Stream:
         return self._tick_of(missing)
 
     def segments(self, tick: int, count: int, tick_s: float) -> NDArray[np.void]:
-        """Play the samples of the ticks tick … tick + count − 1 and return their drive segments, dtype `SEGMENT`.
+        """Play the samples of the ticks `tick` to `tick` + `count` − 1; return their drive segments, dtype `SEGMENT`.
 
-        `tick_s` is the duration of one tick [s]. Missing samples have the replacements that `_without` describes.
+        `tick_s` is the duration of one tick [s]. `_without` describes how missing samples are replaced.
         """
         begin_ns, end_ns = tick * COMMAND_GRID_NS, (tick + count) * COMMAND_GRID_NS
         first = -(-(begin_ns + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the start
@@ -308,9 +306,9 @@ class Stream:
         return self.time_ns(max(0, sample - self._linear)) // COMMAND_GRID_NS
 
     def _play(self, end: int) -> NDArray[np.float64]:
-        """Play the samples from number `played` to end − 1: return their values.
+        """Play the samples from number `played` to `end` − 1, and return their values.
 
-        Missing ones have the replacements that `_without` describes.
+        `_without` describes how missing samples are replaced.
         """
         parts = [np.empty(0)]
         while self.played < end:
@@ -334,7 +332,7 @@ class Stream:
         return values
 
     def _without(self, count: int) -> NDArray[np.float64]:
-        """Return replacements for `count` missing samples: a straight ramp from the last value to zero, then zeros.
+        """Return values that replace `count` missing samples: a straight ramp from the last value to zero, then zeros.
 
         The ramp takes the time set with `set_ramp`. After an underrun with `drive.on_underrun: hold`, the last value is
         repeated instead. If samples have taken effect until now, the event END is added.

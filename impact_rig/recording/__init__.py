@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader and writer of MCAP files: CDR bytes in, CDR bytes out, without ROS."""
+"""Reader and writer of MCAP files, which work without ROS.
+
+Messages are read and written as CDR bytes.
+"""
 
 from impact_rig.recording.description import (
     CONFIGURATION,

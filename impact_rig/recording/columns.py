@@ -52,8 +52,8 @@ Columns = dict[str, NDArray[np.generic]]
 def batches(run: Run, topic: str) -> Iterator[Columns]:
     """Yield the columns of a table topic in batches of about 4 MiB, with text as str.
 
-    The columns `time`, `timestamp` and `earlier` (published before the recording began) precede those of the table, see
-    the docstring of this module. If the messages of the topic have no rows, there is one batch of empty columns.
+    The columns `time`, `timestamp` and `earlier` precede the columns of the table; the docstring of this module
+    describes them. If the messages of the topic have no rows, there is one batch of empty columns.
 
     Raises:
         RecordingError: the topic carries no tables, has no message, or has tables with different columns.
@@ -85,19 +85,28 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
 
 
 def complete(parts: Iterator[Columns]) -> Columns:
-    """Join batches, at least one and all with the same columns, into one array per column."""
+    """Join batches into one array per column.
+
+    There must be at least one batch, and all batches must have the same columns.
+    """
     found = list(parts)
     return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
 
 def to_dataframe(run: Run, topic: str) -> Any:
-    """Return the rows of a table topic as a `pandas.DataFrame`; implements `Run.to_dataframe`, with its errors."""
+    """Return the rows of a table topic as a `pandas.DataFrame`.
+
+    This implements `Run.to_dataframe`, and raises the same errors.
+    """
     pandas = extras.load("pandas", "to_dataframe()", "tables")
     return pandas.DataFrame(complete(batches(run, topic)))
 
 
 def to_xarray(run: Run, topic: str) -> Any:
-    """Return the rows of a table topic as an `xarray.Dataset`; implements `Run.to_xarray`, with its errors."""
+    """Return the rows of a table topic as an `xarray.Dataset`.
+
+    This implements `Run.to_xarray`, and raises the same errors.
+    """
     xarray = extras.load("xarray", "to_xarray()", "tables")
     columns = complete(batches(run, topic))
     described = _described(run, topic)
@@ -112,7 +121,10 @@ def to_xarray(run: Run, topic: str) -> Any:
 
 
 def first_scan_ns(run: Run, topic: str) -> int | None:
-    """Return the stamp of the first recorded scan of the rig to which a topic belongs [ns]; None if there is none."""
+    """Return the stamp [ns] of the first recorded scan of the rig to which a topic belongs.
+
+    The result is None if no scan of this rig was recorded.
+    """
     scans = _prefix(run, run.resolve(topic)) + topics.SCAN.name
     if scans not in run.topics:
         return None
@@ -120,14 +132,17 @@ def first_scan_ns(run: Run, topic: str) -> int | None:
 
 
 def _prefix(run: Run, name: str) -> str:
-    """Return the topic prefix, such as `/rig/`, of the rig to which a topic belongs by its full name; empty if none."""
+    """Return the topic prefix, such as `/rig/`, of the rig to which a topic belongs; empty if it belongs to no rig.
+
+    `name` is the full name of the topic.
+    """
     return max((one for one in run.prefixes if name.startswith(one)), key=len, default="")
 
 
 def is_earlier(run: Run, message: Message) -> bool:
-    """Return whether a message was published before its recording began, as latched messages can be.
+    """Return whether a message was published before its recording began, as a latched message can be.
 
-    It is False if the publish time of the message or the start of the recording is unknown.
+    The result is False if the publish time of the message or the start of the recording is unknown.
     """
     text = run.provenance.get("wall_start_ns", "")
     if message.publish_time == message.log_time:
@@ -138,12 +153,12 @@ def is_earlier(run: Run, message: Message) -> bool:
 def leading(
     stamps: NDArray[np.int64], since: NDArray[np.float64], earlier: Sequence[bool], origin_ns: int | None
 ) -> Columns:
-    """Return the columns `time`, `timestamp` and `earlier` of rows, shape (n,) each.
+    """Return the columns `time`, `timestamp` and `earlier` of n rows, shape (n,) each.
 
-    Each row has an entry in the first three arguments: `stamps` is the stamp of its message [ns], `since` the time of
-    the row after that stamp [s], and `earlier` whether its message was published before the recording began. `time`
-    counts from `origin_ns`, or from the first stamp if that is None. `timestamp` is NaT where `since` is not finite, or
-    longer than a rig can run (`LONGEST_S`).
+    The first three arguments have one entry for each row: `stamps` is the stamp of its message [ns], `since` the time
+    of the row after this stamp [s], and `earlier` whether its message was published before the recording began. The
+    column `time` counts from `origin_ns`, or from the first stamp if `origin_ns` is None. `timestamp` is NaT if `since`
+    is not finite or is longer than a rig can run (`LONGEST_S`).
     """
     known = np.abs(since) <= LONGEST_S
     own = stamps + np.round(np.where(known, since, 0.0) * NS_PER_S).astype(np.int64)
@@ -156,11 +171,11 @@ def leading(
 
 
 def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns:
-    """Return the columns of the rows of tables with equal columns; `time` counts from `origin_ns`.
+    """Return the columns of the rows of several tables with equal columns, after the leading columns of `leading`.
 
-    `earlier` states for each table whether its message was published before the recording began. A column of the
-    tables with the name of a leading column (`leading`) becomes `<name>_of_table`. A numeric column `time` does not: it
-    counts from the stamp of each table [s], so it is added to that stamp, which gives the leading `time`.
+    `time` counts from `origin_ns` [ns]. `earlier` states for each table whether its message was published before the
+    recording began. A numeric column `time` of the tables counts from the stamp of each table [s]: it is used to
+    compute the leading `time`. Any other column with the name of a leading column becomes `<name>_of_table`.
     """
     rows = np.concatenate([table.rows for table in tables])
     counts = [len(table.rows) for table in tables]
@@ -178,10 +193,10 @@ def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns
 
 
 def _described(run: Run, topic: str) -> dict[str, dict[str, str]]:
-    """Return unit (`units`) and description (`long_name`) of the columns of a topic, by column name, as far as known.
+    """Return the known units (`units`) and descriptions (`long_name`) of the columns of a topic, by column name.
 
-    They come from `impact_rig.topics`. The channels of `daq/scan` have the units in the recorded `daq/info` of the same
-    rig instead, and no description.
+    They are those of `impact_rig.topics`. The channels of `daq/scan` have no description, and the units in the recorded
+    `daq/info` of the same rig.
     """
     name = run.resolve(topic)
     prefix = _prefix(run, name)

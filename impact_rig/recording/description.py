@@ -61,10 +61,10 @@ QosYaml = dict[str, str | int | bool | dict[str, int]]
 
 @attrs.frozen(kw_only=True)
 class OfferedQos:
-    """Quality of service offered by one publisher; policies as rosbag2 spells them: `policy.name.lower()` of rclpy.
+    """Quality of service offered by one publisher.
 
-    Fast DDS does not provide history and depth of a remote publisher. They then have their default values, `unknown`
-    and 0, as in files of rosbag2.
+    Policies are spelled as in rosbag2: `policy.name.lower()` of rclpy. Fast DDS does not provide history and depth of a
+    remote publisher. In that case they have their default values, `unknown` and 0, as in files of rosbag2.
     """
 
     history: str = "unknown"
@@ -110,7 +110,10 @@ class TopicDescription:
     schema_encoding: str = ENCODING  # encoding of `schema`; if it is not that of ROS, `schema` holds bytes as Latin-1
 
     def offered_qos_yaml(self) -> list[QosYaml]:
-        """Return the profiles of `offered_qos_text`, with the policies of `OfferedQos` only; empty if no list."""
+        """Return the QoS profiles in `offered_qos_text`, with the policies of `OfferedQos` only.
+
+        The result is empty if the text is not a valid YAML list.
+        """
         return [dict(profile) for profile in _profiles(self.offered_qos_text)]
 
     def channel_metadata(self) -> dict[str, str]:
@@ -119,7 +122,10 @@ class TopicDescription:
 
     @classmethod
     def from_channel(cls, channel: Channel, schema: Schema | None) -> TopicDescription:
-        """Return the description of a topic from its MCAP channel and schema; `type_name` is empty without a schema."""
+        """Return the description of a topic from its MCAP channel and schema.
+
+        Without a schema, `type_name` and `schema` are empty.
+        """
         schema_encoding = ENCODING if schema is None else schema.encoding
         return cls(
             name=channel.topic,
@@ -132,7 +138,10 @@ class TopicDescription:
         )
 
     def schema_bytes(self) -> bytes:
-        """Return the schema as bytes for a file: a `ros2msg` text as UTF-8, any other from its Latin-1 text."""
+        """Return the schema as bytes for a file.
+
+        A `ros2msg` schema is encoded as UTF-8, and any other schema as Latin-1.
+        """
         return self.schema.encode(_SCHEMA_CODEC[self.schema_encoding == ENCODING][0])
 
 
@@ -140,9 +149,8 @@ class TopicDescription:
 def _profiles(text: str) -> tuple[QosYaml, ...]:
     """Return the QoS profiles in an untrusted YAML list, with the policies of `OfferedQos` only.
 
-    Any text, integer, bool, or mapping with `sec` and `nsec` is kept as the value of any policy. Policies with other
-    values, and items that are no mappings, are left out. The result is empty if the text is not a YAML list, or is
-    longer than `MAX_QOS_CHARACTERS`.
+    Values of an unexpected type, and items that are no mappings, are left out. The result is empty if the text is not a
+    YAML list, or is longer than `MAX_QOS_CHARACTERS`.
     """
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
@@ -163,7 +171,7 @@ def _profile(found: Mapping[object, object]) -> QosYaml:
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML dumper that writes as yaml-cpp does: repeated values in full, without anchors, and `~` for null."""
+    """YAML dumper that writes like yaml-cpp: repeated values in full, without anchors, and `~` for null."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  (signature of yaml.SafeDumper)
         return True
@@ -202,12 +210,12 @@ def interface_prefixes() -> tuple[Path, ...]:
 
 
 def schema_text(type_name: str) -> str:
-    """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), followed by those of the types it uses.
+    """Return the schema of a message type, followed by the schemas of the types that it uses.
 
-    The texts are those that `definitions` returns.
+    `type_name` has the form `package/msg/Type` or `package/Type`. The texts are those of `definitions`.
 
     Raises:
-        RecordingError: the type or one that it uses is missing, the name is not that of a message type, or the
+        RecordingError: the type or a type that it uses is missing, the name is not the name of a message type, or the
             type and those that it uses are more than 200.
     """
     (_, first), *others = definitions(type_name).items()
@@ -215,13 +223,13 @@ def schema_text(type_name: str) -> str:
 
 
 def definitions(type_name: str) -> dict[str, str]:
-    """Return the `.msg` texts of `type_name` and of each type it uses, by `package/Type`, its own first.
+    """Return the `.msg` texts of a message type and of the types that it uses, by `package/Type`.
 
-    The text of a type is the first file `share/<package>/msg/<Type>.msg` found in the `interface_prefixes`, or else
-    the text in this package.
+    The first text is that of `type_name` itself. Types that are used indirectly are included. A text is the first file
+    `share/<package>/msg/<Type>.msg` found in the `interface_prefixes`, or else the text stored in this package.
 
     Raises:
-        RecordingError: the type or one that it uses is missing, the name is not that of a message type, or the
+        RecordingError: the type or a type that it uses is missing, the name is not the name of a message type, or the
             type and those that it uses are more than 200.
     """
     where = interface_prefixes()
@@ -253,9 +261,9 @@ def _bundled() -> dict[str, str]:
 
 
 def starts_with_header(type_name: str, schema: str) -> bool:
-    """Return whether messages of a type with this `.msg` text begin with a `std_msgs/Header`, or are headers.
+    """Return whether the messages of a type begin with a `std_msgs/Header`, or are headers themselves.
 
-    It is False if the name is not that of a ROS message type.
+    `schema` is the `.msg` text of the type. The result is False if `type_name` is not the name of a ROS message type.
     """
     if _NAME.fullmatch(type_name) is None:  # not a type of ROS, or no schema
         return False
@@ -266,7 +274,7 @@ def starts_with_header(type_name: str, schema: str) -> bool:
 
 
 def members(schema: str) -> list[tuple[str, str, int]]:
-    """Return path (`header.stamp.sec`), primitive type and count of each member of a message type, in order.
+    """Return the members of a message type in order: path (such as `header.stamp.sec`), primitive type and count.
 
     The count is 1 for a single value, n for an array of n values, and -1 for a sequence (variable length), with or
     without an upper bound.
@@ -275,9 +283,9 @@ def members(schema: str) -> list[tuple[str, str, int]]:
         schema: text as made by `schema_text`.
 
     Raises:
-        RecordingError: a type is not defined in the text; or a member that is itself a message is in an array or
-            sequence, is nested more than 8 types deep, or follows more than 200 members of primitive types. Those
-            themselves are not limited in number.
+        RecordingError: a type is not defined in the text. Or a member that is itself a message is in an array or
+            sequence, is nested more than 8 types deep, or follows more than 200 members of primitive types. The number
+            of members of primitive types itself is not limited.
     """
     root, *others = (part.strip() for part in schema.split(_SEPARATOR))
     texts = {
@@ -343,7 +351,7 @@ Information = dict[str, object]
 
 @attrs.define
 class Extent:
-    """Extent of the messages of a file or topic: their number, and their earliest and latest log time [ns].
+    """Number of messages of a file or topic, and their earliest and latest log time [ns].
 
     Without messages, `start_ns` is `INFINITE_NS` and `end_ns` is 0.
     """
@@ -414,7 +422,7 @@ def bag_information(
 
 
 def bag_record(info: Information) -> dict[str, str]:
-    """Return the content of the metadata record `rosbag2` of an MCAP file: `info`, as YAML under one key."""
+    """Return the content of the metadata record `rosbag2` of an MCAP file: `info` as YAML, under one key."""
     return {BAG_RECORD_KEY: dump_yaml(info)}
 
 
@@ -448,7 +456,10 @@ _CRC_KEY = "crc32"
 
 @attrs.frozen(kw_only=True)
 class Provenance:
-    """Provenance of a run, in its metadata record `impact_rig`: versions of package and arithmetic, seed and start."""
+    """Provenance of a run: version of the package, version of the arithmetic, seed, and start of the recording.
+
+    It is stored in the metadata record `impact_rig`.
+    """
 
     version: str
     seed: int  # seed of noise, calibration errors and random drive
@@ -468,9 +479,9 @@ class Provenance:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> Provenance | None:
-        """Return the provenance in the content of a metadata record `impact_rig`.
+        """Return the provenance from the content of a metadata record `impact_rig`.
 
-        None means that version, seed or start time is missing, or a number is not an integer.
+        The result is None if version, seed or start time is missing, or if a number is not an integer.
         """
         extra = dict(record)
         try:
@@ -482,16 +493,16 @@ class Provenance:
 
 
 def arithmetic_of(record: Mapping[str, str]) -> str:
-    """Return the version of the arithmetic from the provenance record of a run: `1` if the record does not state it.
+    """Return the version of the arithmetic that the provenance record of a run states.
 
-    The text is empty for an empty record: files of other recorders have no provenance. Only a program with the same
-    version of the arithmetic reproduces the samples bit for bit.
+    The result is `1` if the record does not state it. It is empty for an empty record, because files of other recorders
+    have no provenance. Only a program with the same version of the arithmetic reproduces the samples bit for bit.
     """
     return record.get(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC) if record else ""
 
 
 def is_measured(record: Mapping[str, str]) -> bool:
-    """Return whether the provenance record of a run belongs to an imported measurement, which was not simulated."""
+    """Return whether a run is an imported measurement instead of a simulation, from its provenance record."""
     return record.get(MODE_KEY) == MEASURED
 
 
@@ -505,7 +516,10 @@ class Attachment:
 
 
 def protect(record: Mapping[str, str]) -> dict[str, str]:
-    """Return the content of a metadata record with a checksum under the key `crc32`, which `verify` checks."""
+    """Return the content of a metadata record with a checksum added under the key `crc32`.
+
+    `verify` checks this checksum.
+    """
     content = {key: value for key, value in record.items() if key != _CRC_KEY}
     return {**content, _CRC_KEY: f"{_checksum(content):08x}"}
 

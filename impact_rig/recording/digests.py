@@ -13,10 +13,10 @@
 # limitations under the License.
 """Digests of a recording: of each topic with all its messages, of the attachments and of the metadata.
 
-A program that changes a recording renews the checksums of MCAP when it writes the file, so the checksums show only
-damage. The digests show every change of a definition, a message, its order, times and number, an attachment or a
-metadata record. They do not depend on how messages are packed into chunks. They do not prove who wrote them: a program
-that changes a recording can also compute and write new digests.
+The digests show every change of a definition, a message, an attachment or a metadata record, and every change of the
+order, times and number of messages. The checksums of MCAP show damage only, because a program that changes a recording
+renews them. The digests do not depend on how messages are packed into chunks. They do not prove who wrote them: a
+program that changes a recording can also compute and write new digests.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _MESSAGE = struct.Struct("<IQQQ")  # sequence number, log time, publish time, le
 class Digests:
     """BLAKE2b digests of one file: one for each topic, one for all attachments and one for all metadata records.
 
-    The writer of a file adds everything that it writes. A program that checks the file adds everything that it reads,
-    and compares: equal content in equal order gives equal digests.
+    The writer of a file adds all content that it writes. A program that checks the file adds all content that it reads,
+    and then calls `differences`. Equal content in equal order gives equal digests.
     """
 
     def __init__(self) -> None:
@@ -47,7 +47,10 @@ class Digests:
         self._metadata = _new()
 
     def add_topic(self, channel: Channel, schema: Schema | None) -> None:
-        """Start the digest of a topic with its definition; its messages added before this call are ignored."""
+        """Start the digest of a topic with the topic's definition.
+
+        Messages of the topic that were added before this call are ignored.
+        """
         digest = _new()
         _add(digest, channel.topic, channel.message_encoding, json.dumps(channel.metadata, sort_keys=True))
         if schema is not None:
@@ -82,12 +85,17 @@ class Digests:
             _add(self._metadata, name, json.dumps(dict(content), sort_keys=True))
 
     def to_record(self) -> dict[str, str]:
-        """Return the content of the metadata record `RECORD_NAME`: part of the file -> digest as hexadecimal text."""
+        """Return the content of the metadata record `RECORD_NAME`: part of the file -> digest as hexadecimal text.
+
+        A part is `attachments`, `metadata`, or `topic ` followed by the name of a topic.
+        """
         topics = {_TOPIC + name: digest.hexdigest() for name, digest in self._topics.values()}
         return {"attachments": self._attachments.hexdigest(), "metadata": self._metadata.hexdigest(), **topics}
 
     def differences(self, recorded: Mapping[str, str]) -> Iterator[str]:
         """Yield an English sentence for each part of the file that was changed, added or removed after the recording.
+
+        A part is a topic, the attachments or the metadata.
 
         Args:
             recorded: digests that the recorder of the file wrote into its metadata record `RECORD_NAME`.

@@ -14,9 +14,9 @@
 """Losses of a recording: messages that never reached the recorder, and gaps between the stamps of scans.
 
 rclpy provides the sequence number of a message but not its sender. The numbers of a topic are therefore sorted into
-streams, one per publisher. A message continues the stream whose next number it has. If there is no such stream, and the
-graph has a publisher without a stream, the message starts a stream for it. Otherwise the message continues the stream
-with the largest smaller number, and the messages with the numbers in between are lost.
+streams, one per publisher. A message continues the stream whose next number it has. Without such a stream there are two
+cases. If the graph has a publisher without a stream, the message starts a stream for this publisher. Otherwise the
+message continues the stream with the largest smaller number, and the numbers in between count as lost messages.
 
 The stamp of scan i is `start_ns + i * 10**9 // rate_hz`: exact integers, so one missing scan in an hour is detected.
 """
@@ -62,9 +62,9 @@ class PublisherStream:
     lost: int = 0  # number of missing messages between `first` and `newest`
 
     def take(self, sequence: int) -> None:
-        """Count the message with this sequence number as received, and those between `newest` and it as lost.
+        """Count the message with this sequence number as received.
 
-        The number must be larger than `newest`.
+        The messages between `newest` and this number count as lost. The number must be larger than `newest`.
         """
         self.lost += sequence - self.newest - 1
         self.received += 1
@@ -81,7 +81,7 @@ class _Topic:
 
 
 class Account:
-    """Account of the messages that a recorder has received and of those it has missed, by topic and publisher.
+    """Account of the messages that a recorder has received and missed, by topic and publisher.
 
     Args:
         publishers: function that returns the present publishers of a topic. None means that they are unknown: a topic
@@ -114,10 +114,10 @@ class Account:
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the sorted names of the publishers of a topic that were found in the graph, with or without messages.
+        """Return the sorted names of the publishers of a topic that were found in the graph.
 
-        The graph is read when a message does not continue the numbers of a known publisher. The list is empty unless
-        messages of several publishers arrived.
+        The list is empty unless messages of several publishers arrived. It may contain publishers without messages. The
+        graph is read only when a message does not continue the numbers of a known publisher.
         """
         known = self._topics.get(topic)
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
@@ -125,7 +125,8 @@ class Account:
     def to_record(self) -> dict[str, str]:
         """Return the content of the metadata record `RECORD_NAME`: topic -> JSON list of its publishers' counts.
 
-        An entry whose `first` is 0 counts messages without a number, or is the sum of the oldest publishers' counts.
+        An entry whose `first` is 0 does not belong to a single publisher: it counts messages without a number, or is
+        the sum of the oldest publishers' counts.
         """
         return {name: json.dumps([attrs.asdict(s) for s in self._streams(name)]) for name in self._topics}
 
@@ -153,7 +154,10 @@ class Account:
 
 
 def lost(streams: Mapping[str, Sequence[PublisherStream]]) -> dict[str, int]:
-    """Return the number of lost messages by topic, from the counts of its publishers; 0 is left out."""
+    """Return the number of lost messages by topic, from the counts of its publishers.
+
+    Topics without losses are left out.
+    """
     return {name: count for name, found in streams.items() if (count := sum(stream.lost for stream in found))}
 
 
@@ -216,9 +220,10 @@ class Contiguity:
 
     @property
     def whole(self) -> bool:
-        """Return whether `check_contiguity` found no gap: a missing or duplicate scan, or a stamp that is not a scan's.
+        """Return whether `check_contiguity` found no gap.
 
-        Scans missing before the first block, or a few before a reset, are no gap.
+        A gap is a missing or duplicate scan, or a stamp that does not belong to a scan. Scans missing before the first
+        block, or a few scans missing before a reset, are no gap.
         """
         return not self.gaps
 
@@ -230,20 +235,22 @@ def check_contiguity(
     starts: Iterable[int] = (),
     resets: Iterable[int] = (),
 ) -> Contiguity:
-    """Find the gaps between blocks of scans, by their stamps and lengths; scans before the first block are no gap.
+    """Find the gaps between blocks of scans, by their stamps and lengths.
+
+    Scans missing before the first block are no gap.
 
     Args:
         blocks: stamp [ns] and number of scans of each block, in the order to check.
         rate_hz: scans per second.
         start_ns: rig time of scan 0 [ns]. None means unknown: scans are then counted from the first block. A block
-            whose stamp is not a whole number of scan periods later starts a new count, so a restarted rig is one gap
-            only. If the scan period is not a whole number of nanoseconds, a stamp may then differ by one
+            whose stamp is not a whole number of scan periods later starts a new count, so a restarted rig causes one
+            gap only. If the scan period is not a whole number of nanoseconds, a stamp may then differ by one
             nanosecond.
         starts: rig times of scan 0 of further rigs in the same recording [ns]. The time between the last block of one
-            rig and the first block of the next is no gap.
-        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block yet. So a
-            few scans missing before it are no gap: their number must reach that of a block plus 10 ms, one tick of
-            commands.
+            rig and the first block of the next rig is no gap.
+        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block yet. So
+            scans missing before a reset are a gap only if they are at least as many as in a block plus 10 ms, one tick
+            of commands.
     """
     over, under = rate_hz.as_integer_ratio()
     period_exact = NS_PER_S * under % over == 0
@@ -293,7 +300,10 @@ def has_times(table: Table) -> bool:
 
 
 def last_scan_ns(table: Table) -> int:
-    """Return the stamp of the last scan of a block [ns]; that of the block if it has no rows or no valid `time`."""
+    """Return the stamp of the last scan of a block [ns].
+
+    If the block has no rows or no valid `time`, the result is the stamp of the block.
+    """
     if not len(table.rows) or not has_times(table):
         return table.stamp_ns
     last_s = float(table.rows["time"][-1])
@@ -301,7 +311,7 @@ def last_scan_ns(table: Table) -> int:
 
 
 def scan_rate_hz(table: Table) -> float | None:
-    """Return the scan rate of a block [Hz], from its first and last `time`; None if it cannot be computed.
+    """Return the scan rate of a block [Hz], computed from its first and last `time`; None if it cannot be computed.
 
     A rate within a relative 1e-6 of a whole number is returned as that int. The result is None with fewer than two
     scans, without a column `time`, or if the last time is not after the first.

@@ -13,8 +13,7 @@
 # limitations under the License.
 """Reader of a run (a directory or a single MCAP file), which yields messages in log-time order and checks checksums.
 
-A thread reads and decompresses some chunks ahead (the decompressor releases the interpreter lock), so an analysis on
-another core rarely waits.
+A thread reads and decompresses some chunks ahead, in parallel to the analysis of earlier messages.
 
 `McapSource` is one finished file: its summary is checked on opening, its chunks when they are read.
 """
@@ -67,8 +66,8 @@ class Message(NamedTuple):
     """Recorded message: its log time [ns], the time at which it was published [ns], and its CDR bytes.
 
     `log_time` is rig time in runs of this package. `publish_time` is by the system clock of the publisher, or equals
-    `log_time` if the recorder did not know it. `data` is a view of the message's chunk, which stays in memory for as
-    long as the view.
+    `log_time` if the recorder did not know it. `data` is a view of the message's chunk. The chunk stays in memory as
+    long as the view exists.
     """
 
     topic: str
@@ -109,7 +108,7 @@ class Segment:
 
 @attrs.frozen
 class _Place:
-    """Segment of one of the files of a run, with its file."""
+    """Segment of a run, together with the file that contains it."""
 
     source: McapSource
     segment: Segment
@@ -121,14 +120,14 @@ _Item = tuple[int, int, int, Message]  # log time, number of the chunk, number o
 class Run:
     """Recorded run, opened for reading; a context manager that closes its files.
 
-    `tables` yields the rows of a topic block by block, `to_dataframe` and `to_xarray` return all of them at once, and
-    `messages` yields the messages of any topics. A topic has an absolute name, or one relative to the rig's namespace.
-    Only the parts of the file that are needed are read.
+    `tables` yields the rows of a topic block by block. `to_dataframe` and `to_xarray` return all rows at once.
+    `messages` yields the messages of any topics. The name of a topic is absolute, or relative to the rig's namespace.
+    Only the required parts of the files are read.
 
     Args:
         path: a run directory or an MCAP file.
-        rig: namespace of the rig that relative names refer to; None means the only rig. With several, relative names
-            then raise an error.
+        rig: namespace of the rig that relative names refer to; None means the only rig. If there are several rigs,
+            relative names then raise an error.
 
     Attributes:
         topics: recorded topics by full name; each has a `count` of messages and a description `topic`.
@@ -204,7 +203,9 @@ class Run:
 
     @functools.cached_property
     def provenance(self) -> dict[str, str]:
-        """Provenance of the run (version, seed, wall_start_ns, …); empty for files of other recorders.
+        """Provenance of the run: version, seed, wall_start_ns and others.
+
+        It is empty for files of other recorders.
 
         Raises:
             RecordingError: the record has no checksum or does not match it, or a metadata record is damaged.
@@ -212,7 +213,7 @@ class Run:
         return self.record(RECORD_NAME)
 
     def record(self, name: str) -> dict[str, str]:
-        """Return the content of a metadata record, after a check with the checksum that the content contains.
+        """Return the content of a metadata record, after a check of its checksum.
 
         Args:
             name: name of the record; if the run has several of this name, the last one is returned.
@@ -238,7 +239,7 @@ class Run:
     def attachments(self) -> dict[str, bytes]:
         """Return the files stored inside the recording, by name.
 
-        If several have the same name, the first one is returned, which was attached at the start.
+        If several files have the same name, the first file is returned, which was attached at the start.
 
         Raises:
             RecordingError: an attachment is damaged.
@@ -267,7 +268,7 @@ class Run:
         return rigs.choose(self.prefixes, self._rig, self.path)
 
     def name(self, wanted: str | Topic) -> str:
-        """Return the full name of a topic, recorded or not.
+        """Return the full name of a topic, whether it was recorded or not.
 
         Args:
             wanted: a topic or its name; a relative name is completed with the rig's namespace. An absolute name is
@@ -323,7 +324,9 @@ class Run:
         end_ns: int | None = None,
         recorded_order: bool = False,
     ) -> Generator[Message, None, None]:
-        """Yield the messages of a run in log-time order; those of equal times in recorded order.
+        """Yield the messages of a run in log-time order, or in recorded order.
+
+        Messages of equal log time are in recorded order.
 
         Args:
             topics: topics to read, by absolute names or names relative to the rig's namespace; None means all.
@@ -458,7 +461,9 @@ class Run:
         return [source for source in self.sources if source.statistics.message_count]
 
     def _refuse_excess(self) -> None:
-        """Reject a recording whose index shows, before a chunk is decompressed, that it exceeds the limits of reading.
+        """Raise an error if the index of the recording shows that the recording exceeds the limits of reading.
+
+        No chunk is decompressed for this check.
 
         Raises:
             BudgetError: chunks, topics or QoS profiles exceed a limit.
@@ -530,10 +535,8 @@ class Run:
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
         """Raise an error if the segments that must be in memory at the same time are too large.
 
-        A segment is a chunk, or a part of a file outside chunks.
-
-        Messages are yielded by log time, so a segment stays in memory until its latest message has been yielded. In a
-        hostile recording, each segment has one message that is much later than its others.
+        A segment is a chunk, or a part of a file outside chunks. It stays in memory until its latest message has been
+        yielded, so a hostile recording could keep many segments in memory.
 
         Args:
             pending: messages that have been read but not yielded.
@@ -541,7 +544,7 @@ class Run:
             coming: segments that are already being read ahead, and the one to be read next.
 
         Raises:
-            BudgetError: the decompressed segments of the pending messages and those in `coming`, and the messages
+            BudgetError: the decompressed segments of the pending messages and of `coming`, together with the messages
                 themselves, exceed `budget.HELD_BYTES`.
         """
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
@@ -552,7 +555,7 @@ class Run:
 
 @contextlib.contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Put the path of a run or file in front of the message of a BudgetError or DamageError of the `with` block.
+    """Add the path of a run or file to the message of a BudgetError or DamageError raised in the `with` block.
 
     The message of a DamageError also gets the remedy.
     """
@@ -573,8 +576,8 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 
     Args:
         path: a run directory or an MCAP file, also one of rosbag2.
-        rig: namespace of the rig that relative names refer to; None means the only rig. With several, relative names
-            then raise an error.
+        rig: namespace of the rig that relative names refer to; None means the only rig. If there are several rigs,
+            relative names then raise an error.
 
     Returns:
         The run, a context manager that closes the files. Messages are read from the files when they are needed.
@@ -611,9 +614,9 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 def run_files(path: Path) -> list[Path]:
     """Return the MCAP files of a run, in the order of recording.
 
-    These are the files that `metadata.yaml` lists. Without `metadata.yaml` they are all MCAP files in the directory,
-    sorted as by `mcap_files`. For a directory without MCAP files, the result is its SQLite or compressed files: opening
-    one raises an error that says how to convert it. If `path` is a file, the result is this file.
+    The files are those that `metadata.yaml` lists. Without `metadata.yaml` they are all MCAP files in the directory,
+    sorted as by `mcap_files`. If `path` is a file, the result is this file. For a directory without MCAP files, the
+    result is its SQLite or compressed files: opening such a file raises an error that says how to convert it.
 
     Raises:
         RecordingError: `path` does not exist or contains no such file, `metadata.yaml` cannot be read, or a file that
@@ -640,9 +643,10 @@ def run_files(path: Path) -> list[Path]:
 
 
 def _listed(directory: Path, name: str) -> Path:
-    """Return the path of a file that `metadata.yaml` lists; for `x.mcap.zstd`, that of `x.mcap` if this exists.
+    """Return the path of a file that `metadata.yaml` lists under `name`.
 
-    The listed name may begin with the name of the directory, as older versions of rosbag2 write it.
+    For a compressed file `x.mcap.zstd`, it is the path of `x.mcap` if that file exists. Directories in `name`, which
+    older versions of rosbag2 write, are ignored.
     """
     file = directory / Path(name).name
     unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
@@ -650,7 +654,7 @@ def _listed(directory: Path, name: str) -> Path:
 
 
 def mcap_files(directory: Path) -> list[Path]:
-    """Return the MCAP files in a directory, sorted by name, but with the numbers at the end of names in numeric order.
+    """Return the MCAP files in a directory, sorted by name; numbers at the end of names are sorted as numbers.
 
     `metadata.yaml` is not used.
     """
@@ -692,11 +696,11 @@ def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) 
 def _items(
     place: _Place, content: memoryview, names: frozenset[str] | None, number_of_place: int, account: ReadBudget
 ) -> list[_Item]:
-    """Return the messages of the named topics (None: of all) in the decompressed `content` of a segment.
+    """Return the messages of the named topics in a decompressed segment, as tuples that sort by log time.
 
-    Each item is a tuple of log time, number of the segment, number of the message in it, and message. So the items sort
-    by log time, and those of equal times in recorded order. If messages are compressed one by one, their decompressed
-    sizes are added to `account`.
+    `content` is the decompressed segment. `names` contains full names; None means all topics. A tuple is (log time,
+    number of the segment, number of the message in the segment, message). If messages are compressed one by one, their
+    decompressed sizes are added to `account`.
     """
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
@@ -761,7 +765,7 @@ class McapSource:
             self._fd = -1
 
     def refuse_if_closed(self, offset: int) -> None:
-        """Check before the segment at byte `offset` is read that this file has not been closed.
+        """Raise an error if this file has been closed; `offset` is the byte of the segment to be read, for the message.
 
         Raises:
             RecordingError: the file has been closed.
@@ -770,9 +774,9 @@ class McapSource:
             raise RecordingError(f"cannot read {self.path} at byte {offset}: the run has been closed")
 
     def _is_being_written(self) -> bool:
-        """Return whether a recorder still writes this file: a recorder locks its file until it has finished it.
+        """Return whether a recorder still writes this file.
 
-        It is False on a file system without locks.
+        A recorder locks its file until the file is finished. The result is False on a file system without locks.
         """
         try:
             fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -784,20 +788,19 @@ class McapSource:
         return False
 
     def _segments(self) -> list[Segment]:
-        """Return the segments of this file, in file order: its chunks, and parts with messages outside them.
+        """Return the segments of this file, in file order: its chunks, and parts with messages outside chunks.
 
-        Such a part has at most 1 MiB, or is one larger message.
-
-        If the statistics of the file count no messages, only the chunks are listed.
+        A part outside chunks has at most 1 MiB, or consists of one larger message. If the statistics of the file count
+        no messages, only the chunks are listed.
         """
         chunks = (Segment.of_chunk(index) for index in self.summary.chunk_indexes)
         outside = self._outside_chunks() if self.statistics.message_count else ()
         return sorted([*chunks, *outside], key=lambda segment: segment.offset)
 
     def _outside_chunks(self) -> Iterator[Segment]:
-        """Yield segments of consecutive messages outside chunks, which most files do not have.
+        """Yield segments of consecutive messages outside chunks.
 
-        There is no index of them, so the heads of all records are read that the index does not list.
+        Messages outside chunks have no index, so the heads of all records are read that the index does not list.
 
         Raises:
             DamageError: a record is truncated, a message is too short, the index lacks a chunk, or the data section has
@@ -844,7 +847,7 @@ class McapSource:
             position = end
 
     def content(self, segment: Segment) -> memoryview:
-        """Return the decompressed records of a segment, checked by the checksum of its chunk if it has one.
+        """Return the decompressed records of a segment, after a check of the checksum of its chunk, if there is one.
 
         Raises:
             RecordingError: the segment cannot be read, or is a damaged chunk; other segments are not checked here.
@@ -873,7 +876,9 @@ class McapSource:
         return [Attachment(record.name, bytes(record.data), record.media_type) for record in found]
 
     def attachment_records(self) -> list[tuple[mcap_records.Attachment, bool]]:
-        """Return the attachment records of this file, each with True if it carries a checksum, which then matches.
+        """Return the attachment records of this file, each with a flag whether it carries a checksum.
+
+        A checksum that is present has been checked, and matches.
 
         Raises:
             RecordingError: an attachment is damaged.
@@ -896,7 +901,8 @@ class McapSource:
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
         """Return name and content of the metadata records of this file, in the order of its index.
 
-        MCAP does not protect the content by a checksum; `description.verify` checks those of this package.
+        The content is not checked. `description.verify` checks the checksums that this package stores in its own
+        records.
 
         Raises:
             RecordingError: a metadata record is damaged.
@@ -918,9 +924,9 @@ class McapSource:
         return self._fd
 
     def crc(self, segment: Segment) -> int:
-        """Return the checksum that the head of a chunk states for its content; 0 means none, or a truncated head.
+        """Return the checksum of the content of a chunk, as the head of the chunk states it.
 
-        The segment must be a chunk.
+        The result is 0 if the head states no checksum or is truncated. The segment must be a chunk.
 
         Raises:
             RecordingError: the chunk cannot be read.
@@ -931,14 +937,17 @@ class McapSource:
         return int(records.CHUNK_HEAD.unpack_from(data, records.RECORD_HEAD.size)[-1]) if len(data) == head else 0
 
     def data_end(self) -> int:
-        """Return the offset [bytes] at which the DataEnd record must begin in order to end where the summary begins."""
+        """Return the offset [bytes] at which the DataEnd record must begin.
+
+        This record must end where the summary begins.
+        """
         tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
         tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
         content = memoryview(tail)[records.RECORD_HEAD.size : records.FOOTER_BYTES]
         return records.parse(mcap_records.Footer, content).summary_start - DATA_END_BYTES
 
     def record_at(self, offset: int, opcode: int) -> memoryview:
-        """Return the content of the record with this opcode at an offset of the file.
+        """Return the content of the record at an offset of the file, which must have this opcode.
 
         Raises:
             RecordingError: there is no complete record of this kind at the offset (a DamageError), or the file cannot
@@ -974,13 +983,13 @@ class McapSource:
 
 
 class ForeignBagError(RecordingError):
-    """Error of a recording of rosbag2 that is not an MCAP file; the message has a command that converts it."""
+    """Error of a rosbag2 recording that is not a plain MCAP file; the message contains a command that converts it."""
 
 
 def refuse_foreign(fd: int) -> None:
-    """Raise an error with a command that converts the file, if it is in SQLite or compressed as a whole with zstd.
+    """Raise an error if a file is in SQLite or compressed as a whole with zstd.
 
-    Files of all other kinds are accepted, also those that are not MCAP.
+    The error message has a command that converts the file. Other files raise no error, even if they are not MCAP files.
 
     Raises:
         ForeignBagError: the file is in SQLite, or compressed as a whole.
@@ -1032,7 +1041,7 @@ def parse_summary(section: memoryview) -> Summary:
 
     Raises:
         DamageError: the section is not a sequence of records or has no statistics. Or it lists another number of
-            chunks, fewer topics or fewer message definitions than its statistics state, or chunks that overlap.
+            chunks, fewer topics or fewer message definitions than its statistics state. Or chunks overlap.
     """
     try:
         found = _summary_records(section)
@@ -1076,7 +1085,10 @@ def _summary_records(section: memoryview) -> Summary:
 
 
 def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
-    """Raise a DamageError if two chunks in an index overlap: a short file could then claim endless content."""
+    """Raise a DamageError if two chunks in an index overlap.
+
+    With overlapping chunks, a short file could claim endless content.
+    """
     ends_at = 0
     for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
         offset = index.chunk_start_offset

@@ -11,12 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Strict reader of MCAP records, which verifies every length and every checksum that a record carries.
+"""Strict reader of MCAP records, which checks each length and each checksum that it finds in a record.
 
-The library `mcap` only parses the content of records here. Its own reading of files trusts what a file states: it
-accepts a truncated record as complete, and allocates as much memory as a chunk claims to need. It would return wrong
-data from damaged files, and a hostile file could exhaust the memory. This module replaces that part of the library.
-Source: the MCAP format specification, version 0.
+The library `mcap` only parses the content of records here. Its own reader of files trusts the lengths in a file, so
+damaged files could give wrong data, and hostile files could exhaust the memory. Source: the MCAP format specification,
+version 0.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ Bytes = bytes | memoryview
 
 
 class DamageError(RecordingError):
-    """Error of a damaged recording: a record is truncated or malformed, or does not match its checksum or index."""
+    """Error of a damaged recording: a record is truncated or malformed, or its checksum or index does not match."""
 
 
 class UncheckedError(DamageError):
@@ -56,10 +55,10 @@ class UncheckedError(DamageError):
 
 
 class RawMessage(NamedTuple):
-    """Message as it is stored in a chunk; times in ns, `data` is a view of the decompressed chunk.
+    """Message as it is stored in a chunk, with times in ns.
 
-    `offset` is the position at which its record begins in the decompressed chunk [bytes]. A message index of MCAP lists
-    the same number.
+    `data` is a view of the decompressed chunk. `offset` is the position at which the message's record begins in the
+    decompressed chunk [bytes], as in a message index of MCAP.
     """
 
     channel_id: int
@@ -71,11 +70,9 @@ class RawMessage(NamedTuple):
 
 
 class _Strict(ReadDataStream):
-    """Stream from which the library `mcap` reads the fields of one record: it copies nothing.
+    """Stream from which the library `mcap` reads the fields of one record, without copies.
 
-    A field that is longer than the remaining record raises a DamageError.
-
-    `view` is the content of the record.
+    `view` is the content of the record. A field that is longer than the remaining record raises a DamageError.
     """
 
     def __init__(self, view: memoryview) -> None:
@@ -99,9 +96,10 @@ Record = TypeVar("Record", bound=mcap_records.McapRecord)
 
 
 def parse(kind: type[Record], content: memoryview) -> Record:
-    """Parse the content of a record (the bytes after its opcode and length) into an object of the class `kind`.
+    """Parse the content of a record into an object of the class `kind`.
 
-    Binary fields of the result are views of `content`, not copies.
+    The content is the bytes after the opcode and length of the record. Binary fields of the result are views of
+    `content`, not copies.
 
     Raises:
         DamageError: a field does not fit into the content, a string is not UTF-8, or bytes follow the last field.
@@ -117,9 +115,10 @@ def parse(kind: type[Record], content: memoryview) -> Record:
 
 
 def attachment_crc(content: memoryview) -> bool | None:
-    """Return whether the checksum in the last 4 bytes of an attachment record's content matches the bytes before it.
+    """Return whether the checksum of an attachment record matches; None if the record carries no checksum.
 
-    None means that the record carries no checksum: the 4 bytes are 0.
+    `content` is the content of the record. Its last 4 bytes are the checksum of the bytes before them; 0 means no
+    checksum.
     """
     crc = int.from_bytes(content[-4:], "little")
     return zlib.crc32(content[:-4]) == crc if crc else None
@@ -144,7 +143,7 @@ def split(view: memoryview, offset: int) -> tuple[int, memoryview, int]:
 def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryview:
     """Return the decompressed records of a chunk, checked against the size and checksum that the chunk states.
 
-    Decompression never needs more memory than the stated size and one byte. A chunk without a checksum (0) is accepted,
+    Decompression never needs more memory than the stated size and one byte. A chunk without a checksum is accepted,
     unless `need_crc` is True.
 
     Raises:
@@ -172,12 +171,12 @@ UNSTATED_BYTES = 2**30  # limit for a zstd frame that does not state its size: s
 
 
 def plain_message(data: memoryview, most: int) -> memoryview:
-    """Return the CDR bytes of a message; decompress them if the recorder compressed each message on its own with zstd.
+    """Return the CDR bytes of a message, decompressed if the recorder compressed each message on its own with zstd.
 
     Args:
-        data: message in CDR, which is returned unchanged, or a zstd frame that contains one.
-        most: largest decompressed size [bytes], at most 1 GiB for a frame that does not state its size; a message that
-            is not compressed is not limited.
+        data: message in CDR, which is returned unchanged, or a zstd frame that contains such a message.
+        most: largest decompressed size [bytes], at most 1 GiB for a frame that does not state its size. The size of a
+            message that is not compressed is not limited.
 
     Raises:
         DamageError: the message cannot be decompressed, or its decompressed size is larger than `most`.
@@ -198,7 +197,9 @@ def plain_message(data: memoryview, most: int) -> memoryview:
 
 
 def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[RawMessage]:
-    """Yield the messages of the wanted channel ids (None: of all) from the decompressed, checked content of a chunk.
+    """Yield the messages of the wanted channels from the decompressed, checked content of a chunk.
+
+    `wanted` contains the ids of these channels; None means all channels.
 
     Raises:
         DamageError: the content is not a sequence of records.
@@ -221,7 +222,9 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
 
 
 def count(records: memoryview, most: int) -> int:
-    """Return the number of records in the decompressed content of a chunk, or `most` + 1 if there are more than `most`.
+    """Return the number of records in the decompressed content of a chunk, but at most `most` + 1.
+
+    A result of `most` + 1 means that there are more than `most` records.
 
     Raises:
         DamageError: the content is not a sequence of records.

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Rigs in a recording: their namespaces, and the full names of their topics.
 
-A topic belongs to a rig if its name is the rig's namespace followed by the topic's full relative name. The last part of
-a name alone decides nothing: `/rig/plot/envelope/laser` is not the monitor `laser`, and `/rig/truth/impacts` is not
+A topic belongs to a rig if its name is the rig's namespace followed by the full relative name of a topic. The last part
+of the name alone is not enough: `/rig/plot/envelope/laser` is not the monitor `laser`, and `/rig/truth/impacts` is not
 `impacts`.
 """
 
@@ -30,9 +30,9 @@ _RELATIVE = sorted((topic for topic in topics.COMMON if not topic.name.startswit
 
 
 def prefix_of(name: str, topic: topics.Topic) -> str | None:
-    """Return the part of a full name before the relative name of `topic`: `/rig/` of `/rig/daq/scan`.
+    """Return the part of a full topic name before the relative name of `topic`, such as `/rig/` of `/rig/daq/scan`.
 
-    The part is empty if `name` is the relative name itself, and None if `name` is not a name of this topic.
+    The result is empty if `name` is the relative name itself, and None if `name` is not a name of this topic.
     """
     if name == topic.name:
         return ""
@@ -40,11 +40,11 @@ def prefix_of(name: str, topic: topics.Topic) -> str | None:
 
 
 def prefixes(types: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the topic prefix of each rig, such as `/rig/`, in alphabetical order.
+    """Return the topic prefix of each rig in a recording, such as `/rig/`, in alphabetical order.
 
-    Each rig publishes `daq/scan`, so the recorded topics with this relative name show the rigs. If some of them carry
-    tables, only those count. In a recording without `daq/scan`, every recorded topic whose name ends with a relative
-    name of `impact_rig.topics` indicates a rig. If several relative names fit, the longest one counts.
+    A rig is found by its topic `daq/scan`. If some of the topics with this relative name carry tables, only these
+    topics count. In a recording without `daq/scan`, every topic whose name ends with a relative name of
+    `impact_rig.topics` indicates a rig. If several relative names fit, the longest one counts.
 
     Args:
         types: type of each recorded topic, by full name.

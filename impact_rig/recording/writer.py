@@ -14,13 +14,13 @@
 """Writer of a run: a directory with MCAP files for any ROS 2 tool, and `metadata.yaml` as in rosbag2.
 
 A chunk is closed when it is full or has been open for half a second of wall time, and is then passed to the operating
-system at once. A killed process loses only the messages of the open chunk; with a tail (`Tail`), only those since the
-last call of `RunWriter.secure`. `metadata.yaml` is written when the run is finished. A directory without it is
-incomplete; `recover` writes its intact messages to a new run.
+system at once. A killed process loses only the messages of the open chunk. With a tail (`Tail`), it loses only the
+messages since the last call of `RunWriter.secure`. `metadata.yaml` is written when the run is finished. A directory
+without it is incomplete; `recover` writes its intact messages to a new run.
 
-Only complete records are on disk. `mcap.writer.Writer` composes them in memory, so an error of the disk cannot
-interrupt it within a record. `McapFile.commit` writes complete records to the file, and truncates the file to the last
-complete record if that fails. Writing stops before the disk is full or the file size limit is reached.
+Only complete records are on disk. `mcap.writer.Writer` composes records in memory, and `McapFile.commit` writes the
+complete records to the file. If that fails, the file is truncated to the last complete record. Writing stops before the
+disk is full or the file size limit is reached.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, even if it 
 
 @attrs.define
 class _Channel:
-    """Topic of a run that is being written: its channel id in the open file, and its number of messages in the run."""
+    """Topic of a run that is being written, with its channel id in the open file and its number of messages."""
 
     topic: TopicDescription
     has_header: bool
@@ -101,9 +101,9 @@ class RunWriter:
             the next call of `write` or `flush_due`.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: uncompressed size above which a chunk is closed [bytes].
-        max_file_bytes: size on disk at which the next message starts a new file [bytes]; 0 means no limit. So a file
-            becomes larger by up to a chunk and its index.
-        max_file_duration_ns: log time since the first message of a file after which a new one is started [ns]; 0 means
+        max_file_bytes: size on disk [bytes] at which the next message starts a new file; 0 means no limit. A file may
+            exceed this size by a chunk and its index.
+        max_file_duration_ns: log time [ns] since the first message of a file after which a new file is started; 0 means
             no limit.
         tail: whether to keep the messages of the open chunk in a second file (`Tail`); without it, `secure` has no
             effect.
@@ -168,7 +168,7 @@ class RunWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Number of bytes on disk in all MCAP files of the run; a tail (`Tail`), a file of its own, is left out."""
+        """Number of bytes on disk in all MCAP files of the run, without a tail (`Tail`)."""
         return self._bytes_before + self._file.size
 
     @property
@@ -177,11 +177,13 @@ class RunWriter:
         return [self.directory / span.name for span in self._spans]
 
     def add_topic(self, topic: TopicDescription) -> None:
-        """Register a topic, at any time. If the topic is already registered with the same type, the call has no effect.
+        """Register a topic, before or during the recording.
+
+        If the topic is already registered with the same type, the call has no effect.
 
         Raises:
-            RecordingError: the topic is known with another type (the run continues); or the run is finished, or had to
-                stop, now or earlier.
+            RecordingError: the topic is known with another type (the run continues). Or the run is finished, or an
+                error has ended it, now or earlier.
         """
         self._refuse_if_closed()
         known = self._channels.get(topic.name)
@@ -205,9 +207,9 @@ class RunWriter:
     ) -> None:
         """Record one message, with the rig time of its reception as its log time.
 
-        Messages before the first scan wait in memory, because the scan defines their log time. If no scan arrives,
-        `finish` writes them, or `write` if too many wait. Their log time is then the newest of their header stamps or,
-        if none has a stamp, their publish time.
+        Messages before the first scan wait in memory, because the scan defines their log time. If no scan arrives, they
+        are written by `finish`, or by `write` when too many wait. Their log time is then the newest of their header
+        stamps or, if none has a stamp, their publish time.
 
         Args:
             topic_name: name of a registered topic.
@@ -217,8 +219,8 @@ class RunWriter:
             table: the table in `data`, if it has been decoded.
 
         Raises:
-            RecordingError: the topic is unknown (the run continues); or the run is finished, or had to stop, now or
-                earlier: see `closed`.
+            RecordingError: the topic is unknown (the run continues). Or the run is finished, or an error has ended it,
+                now or earlier: see `closed`.
         """
         channel = self._channels.get(topic_name)
         if channel is None:
@@ -241,10 +243,10 @@ class RunWriter:
         self._write(channel, data, self._clock_ns.now_ns, publish_time_ns, sequence, counted=True)
 
     def _begin_without_scans(self) -> None:
-        """Write the messages that wait for a first scan without it, because the run ends or too many of them wait.
+        """Write the messages that wait for a first scan, without the scan.
 
-        All of them get the newest of their stamps as log time. If none has a stamp, each gets its own publish time, or
-        that of an earlier message if that is later.
+        The run ends, or too many messages wait. Their log time is the newest of their header stamps. If none has a
+        stamp, the log time of each message is its publish time, or the log time before if that is later.
         """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
         self._write_early(max(stamps, default=0) or None)
@@ -252,8 +254,7 @@ class RunWriter:
     def _write_early(self, time_ns: int | None) -> None:
         """Write the messages that wait for the first scan, with the log time `time_ns`.
 
-        None, if none of them has a stamp, means the publish time of each, or that of an earlier message if that is
-        later.
+        If `time_ns` is None, the log time of each message is its publish time, or the log time before if that is later.
         """
         waiting, self._early, self._early_bytes = self._early, [], 0  # a write may end the run, which calls this again
         for one in waiting:
@@ -263,7 +264,7 @@ class RunWriter:
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
         """Record one message at a given log time [ns], without counting it in the account of losses.
 
-        The message is written even before the first scan.
+        The message is written at once, even before the first scan.
 
         Args:
             topic_name: name of a registered topic.
@@ -274,7 +275,7 @@ class RunWriter:
 
         Raises:
             KeyError: the topic is not registered.
-            RecordingError: the run is finished, or had to stop, now or earlier.
+            RecordingError: the run is finished, or an error has ended it, now or earlier.
         """
         self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
 
@@ -309,10 +310,10 @@ class RunWriter:
     def secure(self) -> None:
         """Write the messages of the open chunk to the tail, so that they survive if this process is killed.
 
-        Messages that wait for the first scan are not among them. Without `tail=True` the call has no effect.
+        Messages that wait for the first scan are not written. Without `tail=True` the call has no effect.
 
         Raises:
-            RecordingError: the run is finished, or had to stop, now or earlier.
+            RecordingError: the run is finished, or an error has ended it, now or earlier.
         """
         self._refuse_if_closed()
         if self._tail is not None:
@@ -322,7 +323,7 @@ class RunWriter:
     def flush_due(self) -> None:
         """Close and write the open chunk if it has been open for `CHUNK_OPEN_S` (0.5 s); call this every 0.25 s.
 
-        After the end of the run, also after an error, the call has no effect.
+        The call has no effect after the end of the run, or after an error that has ended the run.
 
         Raises:
             RecordingError: the chunk could not be written, or disk space runs short; the run has been closed.
@@ -341,7 +342,7 @@ class RunWriter:
                 attachment that replaces b must name "a" again.
 
         Raises:
-            RecordingError: the run is finished, or had to stop, now or earlier.
+            RecordingError: the run is finished, or an error has ended it, now or earlier.
         """
         self._refuse_if_closed()
         self.supersede(attachment, instead_of)
@@ -440,7 +441,10 @@ class RunWriter:
             self._close()
 
     def _close(self) -> None:
-        """Close all open files in their present state; a tail whose messages are in no chunk yet stays on disk."""
+        """Close all open files in their present state.
+
+        A tail whose messages are not in a chunk yet stays on disk.
+        """
         self._file.close()
         if self._tail is not None:
             self._tail.close()
@@ -481,11 +485,11 @@ class RunWriter:
             raise RecordingError(f"the recording {self.directory} is finished, so it accepts no more messages")
 
     def stop(self, error: RecordingError) -> None:
-        """End the run because of `error`, which every later call that would record something raises again.
+        """End the run because of `error`; later calls that record something raise this error again.
 
-        An open MCAP file is closed without an index, so `recover` is needed for the run. If the last MCAP file is
-        already finished when the error occurs, `metadata.yaml` is written, so that the run can be read. `finish` has no
-        effect after this call.
+        An open MCAP file is closed without an index, so the run needs `recover`. If the last MCAP file is already
+        finished when the error occurs, `metadata.yaml` is written, so that the run can be read. `finish` has no effect
+        after this call.
         """
         self._failure = error
         finished = self._file.finished and not self._closed
@@ -499,9 +503,7 @@ class RunWriter:
 class _StoppingOnError:
     """Context manager that ends the run if its block raises a RecordingError.
 
-    Later calls of the writer then raise this error again, and write nothing after a position that may be damaged.
-
-    It is a class, not a generator, because every message passes through it.
+    Later calls of the writer then raise this error again, so that nothing is written after a damaged position.
     """
 
     def __init__(self, writer: RunWriter) -> None:
@@ -521,7 +523,7 @@ MOST_EARLY, MOST_EARLY_BYTES = 20_000, 16 * 2**20
 
 @attrs.frozen
 class _Early:
-    """Message that was received before the first scan, and waits for it."""
+    """Message that was received before the first scan and waits for the scan."""
 
     channel: _Channel
     data: bytes
@@ -533,7 +535,7 @@ class LogClock:
     """Log time of a recording: the rig time at which a message is received, computed from the scans received so far.
 
     The log time never goes back. If the stamps go back because a rig was restarted, the log time continues from its
-    last value, and advances by as much as the stamps do. It is None until the first scan or call of `go_on`.
+    last value, and advances by as much as the stamps do. It is unknown until the first scan or call of `go_on`.
     """
 
     def __init__(self) -> None:
@@ -542,15 +544,15 @@ class LogClock:
         self._offset_ns = 0  # offset from the stamps of a restarted rig to log times
 
     def go_on(self, now_ns: int) -> int:
-        """Advance the log time to `now_ns` unless it is already later, and return the log time."""
+        """Advance the log time to `now_ns` [ns] unless it is already later; return the log time."""
         self.now_ns = max(_clamp(now_ns), self.now_ns or 0)
         return self.now_ns
 
     def begin_block(self, first_ns: int, last_ns: int) -> int:
-        """Advance the log time to the first scan of a received block, and return it: it is the log time of the block.
+        """Advance the log time to the first scan of a received block; return this log time of the block [ns].
 
-        If the stamps went back, as those of a restarted rig do, the first block after that has the last log time
-        instead. `end_block` later advances the log time to the last scan of the block.
+        After a restart of the rig, whose stamps go back, the first block gets the last log time, and later blocks
+        continue from there.
 
         Args:
             first_ns: stamp of its first scan [ns].
@@ -565,12 +567,15 @@ class LogClock:
         return log_time
 
     def end_block(self) -> None:
-        """Advance the log time to the last scan of the block given to `begin_block`; call this when it is written."""
+        """Advance the log time to the last scan of the block given to `begin_block`.
+
+        Call this after the block is written.
+        """
         self.now_ns = self._end_ns
 
 
 def _clamp(time_ns: int) -> int:
-    """Return a time limited to 0 … INFINITE_NS: times of MCAP are unsigned, those of rosbag2 signed 64-bit integers."""
+    """Return a time limited to 0 … INFINITE_NS, the range of times that MCAP and rosbag2 can both store."""
     return min(max(0, time_ns), INFINITE_NS)
 
 
@@ -582,9 +587,9 @@ def _stamp(data: bytes) -> int:
 
 
 def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
-    """Return the stamps of the first and last scan of a block [ns]; None if the message is not a table with scans.
+    """Return the stamps of the first and last scan of a block [ns], or None if the message is not a table with scans.
 
-    `data` is the message, and `table` the table in it if it has been decoded.
+    `data` is the message. `table` is the table in the message, if it has been decoded.
     """
     try:
         table = table or codec.decode(data)
@@ -594,7 +599,7 @@ def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
 
 
 def make_room(directory: Path) -> None:
-    """Create the directory of a run with its parents, and check that it can take a recording.
+    """Create the directory of a run with its parents, and check that a recording may be written to it.
 
     Raises:
         RecordingError: the directory cannot be created, is a link, belongs to another user, or contains a recording:
@@ -632,7 +637,10 @@ _INDEX_BYTES_FIXED = 4096  # statistics, summary offsets, footer, metadata and a
 
 
 class _Buffer(io.BytesIO):
-    """Memory buffer for the records that are not written yet; `tell` counts from the beginning of the MCAP file."""
+    """Memory buffer for the records of an MCAP file that are not written yet.
+
+    `tell` counts from the beginning of the file.
+    """
 
     committed = 0
 
@@ -659,7 +667,7 @@ class McapFile:
     Args:
         path: path of a new file.
         compression: `none`, `lz4` or `zstd`.
-        chunk_bytes: uncompressed size above which a chunk is closed.
+        chunk_bytes: uncompressed size [bytes] above which a chunk is closed.
         chunked: whether messages and definitions are stored in chunks.
 
     Raises:
@@ -702,7 +710,7 @@ class McapFile:
         return self._buffer.committed
 
     def add_topic(self, topic: TopicDescription) -> int:
-        """Register `topic`, which must be new, and return its channel id: 1 for the first, 2 for the next."""
+        """Register a new topic and return its channel id: 1 for the first topic, 2 for the next."""
         key = topic.type_name, topic.schema_encoding
         if topic.type_name and key not in self._schemas:
             data = topic.schema_bytes()
@@ -725,9 +733,9 @@ class McapFile:
         return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Add a message to the open chunk, and return whether this filled the chunk.
+        """Add a message to the open chunk; return whether the chunk is full and was closed.
 
-        A full chunk is closed, so that the next `commit` writes it. Times are in ns.
+        The next `commit` writes the closed chunk. Times are in ns.
         """
         self._largest_message = max(self._largest_message, len(data))
         sequence &= SEQUENCE_MASK
@@ -754,24 +762,21 @@ class McapFile:
         )
 
     def add_record(self, record: bytes) -> None:
-        """Add the bytes of a complete record, which index and statistics do not include; `commit` writes it."""
+        """Add a complete record as bytes; `commit` writes it.
+
+        Index and statistics of the file do not include this record.
+        """
         self._buffer.write(record)
 
     def take_back(self) -> bytes:
-        """Close the open chunk, remove all records that wait for `commit`, and return their bytes.
-
-        A `Tail` writes these bytes inside its own chunks instead.
-        """
+        """Close the open chunk, remove all records that wait for `commit`, and return the bytes of these records."""
         self.close_chunk()
         records = self._buffer.getvalue()
         self._buffer.empty()
         return records
 
     def close_chunk(self) -> None:
-        """Close the open chunk if it contains a message; `commit` then writes it.
-
-        The library receives all messages of a chunk together; one by one, each would cost three times as much.
-        """
+        """Close the open chunk if it contains a message; `commit` then writes it."""
         for message in self._messages:
             self._writer.add_message(*message)
         if self._messages:
@@ -781,7 +786,7 @@ class McapFile:
     def commit(self) -> None:
         """Write all complete records to the file, so that they survive if this process is killed.
 
-        These are the closed chunks and the records outside chunks; the messages of the open chunk are not written.
+        The messages of the open chunk are not written.
 
         Raises:
             RecordingError: the records cannot be written; the file ends with the last complete record.
@@ -805,7 +810,10 @@ class McapFile:
         self._buffer.drain()
 
     def shortage(self) -> str:
-        """Return why one more chunk and the index may exceed the disk or the file size limit; empty if they fit."""
+        """Return why there may be too little space for one more chunk and the index; empty if there is enough.
+
+        Both the free disk space and the file size limit of the process are checked.
+        """
         index = self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
         needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -824,7 +832,7 @@ class McapFile:
         """Write the last chunk, the digests, and the summary with index and statistics, and close the file.
 
         Raises:
-            RecordingError: they cannot be written; the records before them are intact.
+            RecordingError: the records cannot be written; earlier records are intact.
         """
         try:
             self.close_chunk()
@@ -850,7 +858,9 @@ def _length(record: McapRecord) -> int:
 
 
 def _create(path: Path) -> int:
-    """Create a file, lock it and return its descriptor; the lock shows readers that this process still writes it.
+    """Create a file, lock it and return its descriptor.
+
+    The lock shows readers that this process still writes the file.
 
     Raises:
         RecordingError: the file exists, or cannot be created.
@@ -881,7 +891,10 @@ _SIZES = struct.Struct("<IQ")
 
 
 def tail_of(recording: Path) -> Path:
-    """Return the path of the file with the open chunk of an MCAP file (its `Tail`), whether it exists or not."""
+    """Return the path of the tail of an MCAP file, the file with the messages of its open chunk.
+
+    The tail need not exist.
+    """
     return recording.with_name(recording.name + TAIL_SUFFIX)
 
 
@@ -893,8 +906,8 @@ class Tail(McapFile):
         follows: size of the recording without its open chunk [bytes].
         topics: topics of the recording in the order of their registration, so that channel ids are equal in both files.
         chunk_bytes: chunk size of the recording [bytes].
-        definitions: `definitions` of an earlier tail with the same topics, which saves a recorder a twentieth of its
-            time; None means that they are encoded from `topics`.
+        definitions: `definitions` of an earlier tail with the same topics, which saves time; None means that they are
+            encoded from `topics`.
 
     Raises:
         RecordingError: the file exists, or cannot be written.
@@ -921,7 +934,7 @@ class Tail(McapFile):
         self._records = [definitions]  # readers trust definitions only inside a chunk, which has a checksum
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Keep a message until the next `secure`. Return False: unlike in `McapFile`, no message closes a chunk."""
+        """Keep a message in memory until the next `secure`; return False, because no message closes a chunk here."""
         length = MESSAGE_HEAD.size - RECORD_HEAD.size + len(data)
         head = MESSAGE_HEAD.pack(MESSAGE, length, channel, sequence & SEQUENCE_MASK, log_time, publish_time)
         self._records += head, data
@@ -929,7 +942,10 @@ class Tail(McapFile):
         return False
 
     def shortage(self) -> str:
-        """Return an empty text, as if there were enough space: the check of the recording includes its open chunk."""
+        """Return an empty text, which means enough space.
+
+        The check of the recording already includes its open chunk.
+        """
         return ""
 
     def secure(self) -> None:
@@ -955,9 +971,10 @@ class Tail(McapFile):
 
 
 def _chunk(content: bytes, first_ns: int, last_ns: int) -> bytes:
-    """Return the bytes of an uncompressed MCAP Chunk record that contains these records of definitions and messages.
+    """Return the bytes of an uncompressed MCAP Chunk record with the records in `content`.
 
-    The times are the earliest and latest log time of its messages [ns]. Source: MCAP format specification, version 0.
+    The times are the earliest and latest log time of the messages in the chunk [ns]. Source: MCAP format specification,
+    version 0.
     """
     head = CHUNK_HEAD.pack(first_ns, last_ns, len(content), zlib.crc32(content))
     sizes = _SIZES.pack(0, len(content))  # an empty compression name

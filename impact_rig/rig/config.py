@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`RigConfig`: the complete configuration of a rig as one frozen value, with its readers and writers.
+"""Complete configuration of a rig, `RigConfig`, and functions that read and write it.
 
-Contact laws and instruments define the settings of their own sections; this module combines all sections. It imports no
+Contact laws and instruments define the settings of their own sections. This module combines all sections. It imports no
 compiled code.
 """
 
@@ -57,7 +57,7 @@ class RigConfig:
         output: monitor rate, frame names and optional topics; command timeout, start of the node.
 
     Raises:
-        ConfigError: sections contradict each other; each section checks its own values.
+        ConfigError: values contradict each other, or a block of scans is too large for a message.
 
     Examples:
         >>> import attrs, impact_rig

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Rig`: drive, mechanics, instruments and the journal combined. It is pure: time is an argument, and nothing sleeps.
+"""Virtual test rig: drive, mechanics, instruments and journal combined in the class `Rig`.
 
-The rig simulates whole ticks of 10 ms, the command grid. The first time that is not yet simulated is its *frontier*. An
-input takes effect at the frontier and is written to the journal with the first scan on which it acts. Blocks are cut
-from the scans after these are measured, so neither the length of a block nor the pattern of calls of `advance` changes
-a sample. Individually valid values may be jointly infeasible, so each new configuration is tried in a short simulation
-first.
+The rig reads no clock: its caller says up to which rig time to simulate. The rig simulates whole ticks of 10 ms. The
+first time that is not yet simulated is its *frontier*. A command takes effect at the frontier. The journal contains
+each input with the first scan on which the input acts. Blocks are cut from scans that are already measured, so the
+length of a block changes no sample. Individually valid values may be jointly infeasible, so new mechanics are tried in
+a short simulation first.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; th
 def new_generator(config: RigConfig) -> FunctionGenerator:
     """Return a new function generator with the frequency and amplitude of the configuration.
 
-    The amplitude of a stream is 0 instead, but the configured one is checked as well.
+    For a stream, the generator has the amplitude 0, but the configured amplitude is checked nevertheless.
 
     Raises:
         ConfigError: the configured amplitude exceeds the limits of the shaker, or the upper end of a random drive's
@@ -86,10 +86,10 @@ def new_generator(config: RigConfig) -> FunctionGenerator:
 
 
 def tried_model(config: RigConfig) -> Model:
-    """Return the mechanical model of a configuration, after a short trial simulation whose motion stayed finite.
+    """Build the mechanical model of a configuration, and test it in a short simulation.
 
     Raises:
-        ConfigError: the mechanics with this combination of values cannot be simulated.
+        ConfigError: the mechanics cannot be simulated, or the motion becomes infinite.
     """
     try:
         model = build(config)
@@ -162,10 +162,10 @@ class Block:
     lost: bool
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
-        """Return the tables of the block that exist, each with its topic: first the scans, unless they are withheld.
+        """Return all tables of the block, each with its topic.
 
-        The others follow in the order impacts, faults, true motion. The rig node publishes the same tables, but the
-        scans last.
+        The order is scans, impacts, faults, true motion. Tables that do not exist and withheld scans (`lost`) are left
+        out.
         """
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
@@ -177,20 +177,20 @@ EMERGENCY = "emergency stop"
 
 
 class Rig:
-    """Virtual test rig as a pure object: time is an argument, and nothing sleeps.
+    """Virtual test rig without a clock: the caller says up to which rig time to simulate.
 
-    Most programs use `LocalRig` or `RosRig` instead, which add analysis, recordings and topics. `advance` simulates and
-    returns blocks of scans. An input, such as `accept`, takes effect at the frontier: the first time on a grid of 10 ms
-    that is not simulated yet. Only faults and samples of a stream have times of their own. The same configuration and
-    inputs give the same bits on every machine.
+    Most programs use `LocalRig` or `RosRig` instead, which add analysis, recordings and topics. `advance` simulates the
+    rig and returns blocks of scans. Inputs such as `accept` take effect at the frontier, the first time on a grid of 10
+    ms that is not simulated yet. Only faults and samples of a stream have times of their own. The same configuration
+    and inputs give the same bits on every machine.
 
     Args:
         config: configuration of the rig.
         start_ns: stamp of scan 0 [ns].
 
     Raises:
-        ConfigError: the initial drive of the configuration exceeds the shaker, the mechanics cannot be simulated with
-            this combination of values, or the instruments do not support `daq.rate_hz`.
+        ConfigError: the drive exceeds the limits of the shaker, the mechanics cannot be simulated with these values, or
+            the instruments do not support `daq.rate_hz`.
 
     Examples:
         >>> import impact_rig
@@ -234,7 +234,7 @@ class Rig:
 
     @property
     def frontier_sample(self) -> int:
-        """Number of the first scan that an input made now acts on, counted from scan 0 of the last start or reset."""
+        """Index, from the start or reset, of the first scan on which a command made now acts."""
         return -(-self._ticks * self.rate_hz // TICKS_PER_S)
 
     @property
@@ -279,7 +279,7 @@ class Rig:
 
     @property
     def is_driven(self) -> bool:
-        """Return whether `target_amplitude` is not zero or, for a stream, whether samples take effect now."""
+        """Return whether `target_amplitude` is not zero; for a stream, return whether its samples take effect now."""
         stream = self._generator.stream
         return self.target_amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
 
@@ -305,8 +305,8 @@ class Rig:
         """Return how many of the next blocks can be simulated with the samples of the stream that have arrived.
 
         Args:
-            most: upper limit of the result. It is also the result if no block has to wait for samples: the drive is not
-                a stream, it is not configured to wait (`drive.stream_wait`), or the stream has ended or was stopped.
+            most: upper limit of the result. It is the result if no block waits for samples: the drive is no stream, the
+                configuration does not ask to wait (`drive.stream_wait`), or the stream has ended or was stopped.
         """
         stream = self._generator.stream
         whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None
@@ -348,16 +348,15 @@ class Rig:
     def advance(self, until_ns: int) -> list[Block]:
         """Simulate up to a rig time, and return the blocks that have become complete since the last call.
 
-        A block that ends after `until_ns` is already simulated up to that time, so a long block is not computed all at
-        once.
+        A later call completes and returns a block that ends after `until_ns`.
 
         Args:
             until_ns: rig time [ns].
 
         Returns:
-            Blocks, oldest first; none if `until_ns` is before the end of the next one. In a block, `scan` is the table
-            of `daq/scan`, and `number`, `first_scan` and `end_ns` say when it was measured. `impacts`, `faults` and
-            `truth` are tables of the true events and motion, or None. `lost` says whether a fault withholds the scans.
+            Complete blocks, oldest first; may be empty. In a block, `scan` is the table of `daq/scan`. `number`,
+            `first_scan` and `end_ns` say when it was measured. `impacts`, `faults` and `truth` are tables of the true
+            events and motion, or None. `lost` says whether a fault withholds the scans.
 
         Raises:
             SimulationError: the motion cannot be simulated.
@@ -380,10 +379,10 @@ class Rig:
             self._simulate(min(needed - self._ticks, BATCH_TICKS))
 
     def _simulate(self, ticks: int) -> None:
-        """Simulate at most `ticks` ticks, up to the next change of the drive or of the clock, and apply that change.
+        """Simulate at most `ticks` ticks, and stop early when the drive or the scan clock changes.
 
-        The caller calls again for the remaining ticks. Such a change is the first of these: the interlock trips, the
-        command timeout passes, an event of the stream occurs, or a fault changes the rate of the scan clock.
+        The drive changes at a trip of the interlock, a command timeout or an event of the stream. A fault can change
+        the rate of the scan clock. The caller must call again for the remaining ticks.
         """
         self._time_out_if_due()  # immediately, if the timeout was shortened
         due = self._timeout_tick()
@@ -416,9 +415,9 @@ class Rig:
             self._time_out_if_due()
 
     def _journal_stream(self) -> Trip | None:
-        """Write the stream's new events to the journal; return a trip if one is an underrun that is to trip the shaker.
+        """Write new events of the stream to the journal; return a trip if an underrun must stop the shaker, else None.
 
-        That is configured by `drive.on_underrun: trip`. Otherwise, and if the shaker is already latched, return None.
+        An underrun stops the shaker only with `drive.on_underrun: trip`.
         """
         stream, trip = self._generator.stream, None
         if stream is None or not stream.events:
@@ -431,7 +430,7 @@ class Rig:
         return trip
 
     def _cut(self, size: int) -> Block:
-        """Return the next `size` scans as a block, together with the truth and faults during them, and remove all."""
+        """Remove the next `size` scans from the rig, and return them as a block, with their truth and faults."""
         first = self._next_scan
         stamp = self._stamp(first)
         states, scans, is_monitored = self._truth.pop_states(first, size)
@@ -458,8 +457,8 @@ class Rig:
     def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
         """Apply a command to the drive at the frontier.
 
-        A new amplitude is reached by a ramp of `shaker.ramp_s`, a new frequency at once. Each accepted call, also one
-        without values, restarts the command timeout.
+        A new frequency applies at once, and a new amplitude after a linear ramp of duration `shaker.ramp_s`. Each
+        accepted call restarts the command timeout, even a call without values.
 
         Args:
             frequency_hz: new frequency [Hz], for a sine only; None leaves it unchanged.
@@ -500,10 +499,10 @@ class Rig:
     def feed(self, first_sample: int, values: ArrayLike) -> int:
         """Store samples of the stream that drives the rig (`drive.waveform: stream`).
 
-        Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. It may be sent again and replaced until
-        the simulation needs it: with `drive.stream_hold: first_order` that is up to one sample interval before its
-        time. An empty array ends the stream at `first_sample`. A sample that is missing anywhere else, once the stream
-        has started, causes an underrun: the rig does what `drive.on_underrun` says.
+        Sample k is due k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. It can be replaced until the simulation needs
+        it: with `drive.stream_hold: first_order` up to one sample interval before its time. An empty array ends the
+        stream at `first_sample`. Any other missing sample after the start of the stream is an underrun, to which the
+        rig reacts as `drive.on_underrun` says.
 
         Args:
             first_sample: number of the first sample.
@@ -553,11 +552,10 @@ class Rig:
     def configure(self, changes: Mapping[str, object]) -> RigConfig:
         """Change configuration values at the frontier, all or none.
 
-        The mechanics, the instruments and the limits of the shaker change at the frontier. After a change of the
-        mechanics (all of structure, shaker, sphere, barriers and contact except limits and ramp of the shaker) the
-        sphere rests at `sphere.start` again, and the energy account restarts. The section `drive` and the seed apply at
-        the next reset. A line added to the planned faults starts its fault, with `start_s` counted from the frontier; a
-        removed line ends its fault.
+        The section `drive` and `daq.seed` apply at the next reset, other values at the frontier. After a change of the
+        mechanics, the sphere rests at `sphere.start` again, and the energy account restarts. The mechanics are the
+        sections structure, shaker, sphere, barriers and contact, except limits and ramps of the shaker. A line added to
+        the planned faults starts a fault, whose `start_s` counts from the frontier. A removed line ends its fault.
 
         Args:
             changes: new values, `section.key` -> value, as in docs/reference/configuration.md.
@@ -580,8 +578,8 @@ class Rig:
         """Apply a complete configuration at the frontier, with the same effects as `configure`.
 
         Args:
-            config: the new configuration; its `daq.block_scans` must be the present one, which is not checked.
-            changed: the values in which it differs from the present configuration, by full name.
+            config: the new configuration. Its `daq.block_scans` must equal the present value, which is not checked.
+            changed: the values in which `config` differs from the present configuration, by full name.
 
         Raises:
             ConfigError: the values contradict each other or cannot be simulated together, or change the scan rate or
@@ -616,25 +614,25 @@ class Rig:
     def reset(self) -> None:
         """Start again at the frontier with the present configuration: from scan 0, with all bodies at rest.
 
-        The drive starts with its configured frequency and amplitude, injected faults are gone, planned ones start
-        again, and a base locked by `pluck` is released. Scans measured but not yet returned in a block are dropped, as
-        are the stored samples of a stream.
-        Stamps continue, so none is used twice.
+        The drive starts with its configured frequency and amplitude. Injected faults are removed, and planned faults
+        start again. A base locked by `pluck` is released. Measured scans that no block contains yet are dropped, and so
+        are the stored samples of a stream. Stamps continue, so none is used twice.
 
         Raises:
             CommandError: the shaker is latched; a reset must not clear an emergency stop.
-            ConfigError: the limits of the shaker are below `drive.amplitude`, after `configure`; nothing is changed.
+            ConfigError: `drive.amplitude` exceeds the limits of the shaker that `configure` has set; nothing is
+                changed.
         """
         if self._latched is not None:
             raise CommandError(f"cannot reset: {self._why_latched()}")
         self._begin(InputKind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
-        """Lock the inferior base at zero and release the superior base from rest at a displacement: a free decay.
+        """Start a free decay: lock the inferior base at zero, and release the superior base from a displacement.
 
-        The release is at the frontier. The sphere then rests at `sphere.start`, and the drive amplitude becomes zero.
-        The base stays locked, and commands and samples are refused, until a reset. A further pluck is allowed, and
-        releases the superior base again; a latched shaker does not prevent a pluck.
+        The release is at the frontier, from rest. The sphere then rests at `sphere.start`, and the drive amplitude
+        becomes zero. Until a reset, the base stays locked, and commands and samples are refused. A further pluck is
+        allowed. A pluck is also allowed while the shaker is latched.
 
         Args:
             displacement_m: displacement x_1 at the release [m], in the range of `pluck.displacement_m`.
@@ -676,8 +674,8 @@ class Rig:
             fault: the fault; the scan with the number `start_sample` must not be measured yet.
 
         Returns:
-            Number of the fault, from 1, for `clear_fault`. Planned faults have the first numbers; after a reset, the
-            count goes on from these.
+            Number of the fault, for `clear_fault`. It counts from 1 and includes the planned faults, which come first.
+            A reset restarts the count after the planned faults.
 
         Raises:
             CommandError: the rig does not have the fault's channel, or the fault starts at a scan that is already
@@ -702,7 +700,7 @@ class Rig:
         self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
 
     def take_applied(self) -> list[Table]:
-        """Return the tables for the topic `shaker/applied` that have arisen since the last call, and drop them."""
+        """Return the new tables for the topic `shaker/applied` since the last call, and drop them."""
         applied, self._applied = self._applied, []
         return applied
 
@@ -710,7 +708,7 @@ class Rig:
 
     @property
     def _drive(self) -> Drive:
-        """Active drive configuration, that of the last start or reset; `config.drive` is used at the next reset."""
+        """Active drive configuration, which is that of the last start or reset; a reset makes `config.drive` active."""
         return self._simulation.config.drive
 
     def _begin(self, kind: InputKind, start_ns: int) -> None:
@@ -767,10 +765,10 @@ class Rig:
         self._add_applied()
 
     def _timeout_tick(self) -> int | None:
-        """Return the number of the tick at whose start the drive ramps down, unless a command arrives before.
+        """Return the number of the tick at whose start the command timeout passes; None if no timeout is pending.
 
-        Return None if no timeout is configured (`output.command_timeout_s`), if it has already passed since the last
-        command, or if the shaker is latched or its amplitude zero.
+        No timeout is pending if none is configured, if it has already passed, if the shaker is latched, or if the
+        target amplitude is zero.
         """
         timeout = self.config.output.command_timeout_s
         if timeout <= 0 or self._timed_out or self._latched is not None or self.target_amplitude == 0:

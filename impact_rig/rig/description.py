@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""URDF of the rig: the content of `robot_description`, from which RViz and robot_state_publisher know the bodies.
+"""URDF of the rig, the content of `robot_description`, for RViz and robot_state_publisher.
 
-Joint positions on `truth/joint_states` are relative to the fixed frame `rig`, so all three prismatic joints are
-attached to it. The barriers are visuals of the superior base: another gap draws them elsewhere, but changes no
-transform. Masses are those of the configuration; inertias are those of the drawn bodies. Shapes and heights are chosen
-for a clear picture; the paper gives none.
+All three prismatic joints are attached to the fixed frame `rig`, because positions on `truth/joint_states` are relative
+to it. The barriers are drawn as parts of the superior base, so the gap changes no transform. Masses are those of the
+configuration; inertias are those of the drawn bodies. The paper gives no shapes or heights, so these are chosen for a
+clear picture.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ _SHOWN = operator.itemgetter(
 
 
 def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
-    """Return the values of a message on `truth/joint_states` for a true state, a row of `blocks.TRUTH_SCAN`.
+    """Return positions, velocities and efforts of the joints for a true state, as on `truth/joint_states`.
 
-    The three lists are absolute displacements [m], absolute velocities [m/s], and contact forces on the bodies [N], all
-    positive to the right. Each list is in the order of `JOINTS`.
+    `truth` is a row of `blocks.TRUTH_SCAN`. The lists are absolute displacements [m], absolute velocities [m/s] and
+    contact forces on the bodies [N], positive to the right, in the order of `JOINTS`.
     """
     *moving, left, right = _SHOWN(truth.item())
     push = left - right  # both walls push the sphere
@@ -136,7 +136,7 @@ def _sphere(robot: ET.Element, sphere: Sphere) -> None:
 
 
 def _instruments(robot: ET.Element, setup: Laser) -> None:
-    """Add the frames `daq`, `laser` and `base_sensor`, to which readings refer, with the bodies of two sensors.
+    """Add the frames `daq`, `laser` and `base_sensor`, to which readings refer, and draw the two sensors.
 
     Readings of the accelerometer refer to the frame of the superior base.
     """

@@ -33,6 +33,6 @@ def case_of(gap_m: float) -> str:
 def gap_values(gap_m: float) -> dict[str, Value]:
     """Return the configuration values, by full name, that give a rig this gap [m], or no sphere for `NO_SPHERE`.
 
-    For `NO_SPHERE` the gap between the barriers is not among the values, because it has no effect without a sphere.
+    Without the sphere, the gap between the barriers has no effect and is left out.
     """
     return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Protection of the shaker: limits of commands, and an interlock on the true travel of the base and the coil current.
 
-The interlock samples the motion ten times per tick of 10 ms, so neither the scan rate, nor the block length, nor the
-number of ticks per call affects whether it trips. The square of a streamed current is integrated exactly.
+The interlock samples the motion ten times per tick of 10 ms. Scan rate, block length and number of ticks per call
+therefore do not affect whether it trips. The square of a streamed current is integrated exactly.
 """
 
 from __future__ import annotations
@@ -105,10 +105,9 @@ class Interlock:
     def watch(
         self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker, known: Container[str] = ()
     ) -> Trip | None:
-        """Return the first trip in simulated ticks, by travel or averaged current, or None if there is none.
+        """Check simulated ticks, and return the first trip by over-travel or over-current; None without a trip.
 
-        With a prescribed motion of the base there is none. The average of the current is updated over all ticks, or up
-        to the tick of the trip.
+        The average of the current continues from the last call. A prescribed motion of the base never trips.
 
         Args:
             motion: the simulated ticks.
@@ -148,11 +147,11 @@ def _gain(tick_s: float) -> float:
 def travel_and_current(
     model: Model, trajectory: Trajectory, work: SamplingWorkspace, query: Query, spacing_s: float, found: Reals
 ) -> None:
-    """Compute each tick's largest |travel| [m] and mean square of the current [A²], into `found` of shape (ticks, 2).
+    """Compute the largest |travel| [m] and the mean square current [A²] of each tick, into `found` of shape (ticks, 2).
 
-    `query` requests travel, its rate and the current at all sampled instants: `spacing_s` [s] apart, from the start of
-    each tick to its end. The instant between two ticks counts for the travel of both, but for the mean square only in
-    the earlier tick.
+    The motion is sampled every `spacing_s` [s], from the start of each tick to its end. `query` must request travel,
+    its rate and the current, and have room for all these instants. The mean square of a tick excludes its first
+    instant.
     """
     per_tick = query.tick.shape[0] // found.shape[0]
     for i in range(query.tick.shape[0]):
@@ -175,9 +174,10 @@ def mean_square(values: Reals) -> float:
 
 @entry(SEGMENT, INTEGERS, float, REALS_2D)
 def mean_square_of_lines(segments: Records, first_segment: Integers, tick_s: float, found: Reals) -> None:
-    """Compute each tick's mean square of a streamed current [A²] exactly, into `found[:, 1]`.
+    """Compute the exact mean square of a streamed current [A²] in each tick, into `found[:, 1]`.
 
-    The current consists of straight lines, `segments`, of which those of tick i begin at `first_segment[i]`.
+    The current is piecewise linear. Each row of `segments` is one line; tick i begins with the line `first_segment[i]`.
+    `tick_s` is the duration of a tick [s].
     """
     for tick in range(found.shape[0]):
         total = 0.0
@@ -190,11 +190,11 @@ def mean_square_of_lines(segments: Records, first_segment: Integers, tick_s: flo
 
 @kernel
 def largest_travel(position: Reals, velocity: Reals, spacing_s: float) -> float:
-    """Return the largest |position| [m] of a sampled motion, also between the samples.
+    """Return the largest |position| [m] of a sampled motion, including the motion between the samples.
 
-    Position [m] and its rate, velocity [m/s], have shape (n,). The samples are `spacing_s` [s] apart, so close that the
-    velocity changes its sign at most once between two of them. Between two samples the position is the cubic with the
-    position and velocity of each: start + x (start_rate + x (quadratic + cubic x)), x = 0 … 1, by names in the code.
+    `position` [m] and `velocity` [m/s] have shape (n,). The samples are `spacing_s` [s] apart. Between two samples, the
+    position is the cubic polynomial that has the given position and velocity at both samples. The velocity must change
+    its sign at most once between two samples.
     """
     found = abs(position[0])
     for i in range(position.shape[0] - 1):

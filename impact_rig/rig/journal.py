@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Journal: every input that changes the future of the rig, with the first scan that it acts on.
+"""Journal of a rig: all inputs that change its samples, each with the first scan on which it acts.
 
-Each entry is one JSON object on `rig/journal`. A journal, from its `start` or `reset` on, and the samples of a streamed
-drive are all that a re-simulation needs. The first entry holds the configuration (the differences from the default
-`RigConfig`). Entries are numbered, so a missing one is detected. This module also defines which parameters affect
-samples, and when a change of a parameter takes effect.
+Each entry is one JSON object on `rig/journal`. The first entry, `start` or `reset`, holds the configuration as
+differences from the default `RigConfig`. A re-simulation needs only the journal and, for a streamed drive, the samples
+of the stream. Entries are numbered, so a gap is detected. This module also defines which parameters affect samples, and
+when a change of a parameter takes effect.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # affects samples, al
 
 
 class InputKind(Word):
-    """Kind of a journal entry, such as a command, a reset or a fault; `doc` says what its other members then mean."""
+    """Kind of a journal entry, such as a command or a fault; its attribute `doc` explains the members of the entry."""
 
     START = "start", "Scan 0 of a new rig; text = version of impact_rig, values = what differs from the default rig."
     RESET = "reset", "Scan 0 of the same rig after a reset; text and values as for `start`."
@@ -108,7 +108,7 @@ class JournalEntry:
 
     @property
     def number(self) -> float:
-        """Member `value` of an entry, for the kinds that always have one, such as a command or a pluck."""
+        """Attribute `value` as a number; only for kinds that always have a value, such as a command or a pluck."""
         assert self.value is not None
         return self.value
 
@@ -195,11 +195,11 @@ def _float(name: str, value: float) -> float:
 
 
 def _typed(name: str, value: Any) -> Value:
-    """Return a JSON value as the type that the configuration value called `name` has.
+    """Convert a JSON value to the type of the configuration value called `name`.
 
     Raises:
-        ConfigError: there is no configuration value of this name, or the JSON value has another type; only an integer
-            is accepted for a float.
+        ConfigError: no configuration value has this name, or the JSON value has another type. An integer is accepted
+            for a float.
     """
     if name not in _DEFAULTS:
         raise ConfigError(f"it has the unknown configuration value {name!r}")
@@ -316,9 +316,9 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
     """Return the entries from the last `start` or `reset` on, in order.
 
     Raises:
-        ConfigError: there are no entries, the first is no `start` or `reset`, or the numbers of the entries have a gap,
-            also before the last `start` or `reset`; the message has the number of the first missing entry. Entries
-            missing at the very end of a journal leave no gap.
+        ConfigError: there are no entries, the first entry is no `start` or `reset`, or the numbers of the entries have
+            a gap, also before the last `start` or `reset`. The message has the number of the first missing entry.
+            Entries missing at the end of a journal are not detected.
     """
     found: list[JournalEntry] = []
     for entry in entries:
@@ -340,7 +340,7 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
 
 
 def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the part of `values`, by full name, that affects samples and so belongs in a journal."""
+    """Return those of the configuration values that affect samples and belong in a journal, by full name."""
     return {
         name: value
         for name, value in values.items()
@@ -367,12 +367,18 @@ AT_RESET = ("drive.", "daq.seed")  # values used at the beginning only
 
 
 def is_mechanics(name: str) -> bool:
-    """Return whether a parameter is in the equations of motion; its change puts the sphere back to `sphere.start`."""
+    """Return whether the parameter `name` is part of the equations of motion.
+
+    Changing such a parameter puts the sphere back to `sphere.start`.
+    """
     return name.startswith(MECHANICAL_SECTIONS) and name not in LIMITS
 
 
 def takes_effect(name: str) -> str:
-    """Return when a new value of the parameter `name`, if it can be changed, takes effect on a running rig, as text."""
+    """Return a text that says when a new value of the parameter `name` takes effect on a running rig.
+
+    Whether the parameter can be changed at all is not checked.
+    """
     if name == PLANNED:
         return "next command instant, for added or removed lines"
     if name.startswith(AT_RESET):
@@ -385,10 +391,9 @@ def takes_effect(name: str) -> str:
 
 
 def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
-    """Return `config` with the seed and the planned faults of `present`.
+    """Return `config` with the seed and the planned faults of the present instruments (`present`).
 
-    Running instruments use these two only at a reset and refuse a change, so a new configuration for them must keep
-    both. The rig itself injects and clears the faults of changed lines (`PlannedFaults`).
+    Running instruments use the seed and the planned faults only at a reset, and refuse to change them.
     """
     return attrs.evolve(
         config,
@@ -399,14 +404,14 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
 
 @attrs.frozen
 class FaultChange:
-    """Change of the planned faults: texts of the removed lines (`gone`), and of the added ones with their faults."""
+    """Change of the planned faults: the removed lines (`gone`), and the added lines with their faults (`new`)."""
 
     gone: tuple[str, ...]
     new: tuple[tuple[str, Fault], ...]
 
 
 class PlannedFaults:
-    """Record of which fault each line of `instruments.faults.planned` has started, to end it when the line is removed.
+    """Record of the faults that the lines of `instruments.faults.planned` have started, by line.
 
     Args:
         lines: planned faults at the start or reset, which the instruments have numbered from 1 in this order.
@@ -420,11 +425,11 @@ class PlannedFaults:
             self._numbers[line].append(number)
 
     def replan(self, lines: Iterable[str], sample: int) -> FaultChange:
-        """Return the change from the present lines to new ones; it takes effect only when `apply` is called.
+        """Return the change from the present lines of planned faults to new lines, without applying it.
 
         Args:
-            lines: all lines after the change; the fault of a line that stays goes on.
-            sample: number of the first scan on which added lines can act; their `start_s` count from there.
+            lines: all lines after the change. The fault of a line that stays goes on.
+            sample: number of the first scan on which added lines can act. Their `start_s` count from this scan.
 
         Raises:
             ConfigError: an added line is not a valid fault, or starts too late to be represented.
@@ -435,10 +440,10 @@ class PlannedFaults:
         return FaultChange(tuple((before - after).elements()), new)
 
     def apply(self, change: FaultChange, clear: Callable[[int], None], inject: Callable[[Fault], int]) -> None:
-        """Clear the faults of removed lines, then inject those of added lines.
+        """Clear the faults of removed lines, then inject the faults of added lines.
 
         Args:
-            change: result of `replan`, since which no other change was applied.
+            change: result of `replan`, with no other change applied since.
             clear: function that ends the fault with a given number, which may have ended already.
             inject: function that starts a fault and returns its number.
         """

@@ -13,11 +13,11 @@
 # limitations under the License.
 """Low-pass filter that reduces scans to the monitor rate, for the topics that plotters show.
 
-If scans at 10 kS/s were shown at 50 Hz as they are, every pulse would alias. So readings first pass a low-pass: a
-windowed sinc (Kaiser, beta 5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5). Its window is eight
-monitor periods long and centred at the scan whose stamp the message has. So there is no phase error, and the message is
-published four periods after its stamp. With f_m the monitor rate, the gain is within 0.5 % of 1 up to 0.2 f_m and below
-0.4 % from 0.6 f_m on, so that nothing is aliased to below 0.4 f_m. The truth is never filtered.
+Without a filter, pulses in the scans would alias at the low monitor rate. The filter is a windowed sinc (Kaiser, beta
+5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5). Its window is eight monitor periods long and
+centred at the scan whose stamp the message has. It therefore causes no phase error, but a message is published four
+periods after its stamp. With f_m the monitor rate, the gain is within 0.5 % of 1 up to 0.2 f_m. From 0.6 f_m on it is
+below 0.4 %, so that nothing is aliased to below 0.4 f_m. The truth is never filtered.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Smoothed:
 class AntiAlias:
     """Low-pass filter of consecutive scans, which gives readings at the monitor instants: every `step`-th scan.
 
-    No scan is kept: each one is weighted and added to the sum of every instant whose window contains it.
+    The filter works block by block and keeps no scans.
 
     Args:
         channels: columns to filter.
@@ -101,8 +101,8 @@ class AntiAlias:
     def feed(self, first: int, rows: NDArray[np.void]) -> list[Smoothed]:
         """Filter a block of scans, and return the readings at the monitor instants whose windows it completes.
 
-        If the block does not continue the one before (scans are missing, or the rig was reset), the filter starts
-        again. A window that begins before the first scan since such a start is truncated to the scans that exist.
+        If the block does not directly follow the previous block, for example after lost scans or a reset, the filter
+        restarts. The first windows after a restart are truncated to the scans that exist.
 
         Args:
             first: number of the block's first scan.
@@ -141,8 +141,6 @@ def _weigh(
 ) -> int:
     """Add a block of scans to the filter windows that contain them; return how many windows end in the block.
 
-    Each window is summed scan by scan, so that the division into blocks changes no bit.
-
     Args:
         rows: rows of scans as bytes.
         layout: bytes per row, byte position of the status in a row, and byte positions of the channels.
@@ -151,9 +149,10 @@ def _weigh(
         first: number of the first scan of the block.
         step: scans per monitor period.
         weights: weights of a window's scans.
-        sums: for each window the sum of the weights used so far, which does not end at 1 in a truncated window, and for
-            each channel the weighted sum of its readings. Window k is in row k modulo the number of rows.
-        statuses: for each window the status bits that any scan less than one monitor period from its centre has set.
+        sums: for each window the sum of the weights used so far, followed by the weighted sum of each channel; updated.
+            Window k is in row k modulo the number of rows.
+        statuses: for each window the status bits that any scan less than one monitor period from its centre has set;
+            updated.
         done: output for each window that ends in the block: number of the scan at its centre, status, means by channel.
     """
     half = weights.shape[0] // 2

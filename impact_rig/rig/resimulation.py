@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Re-simulation of a rig from its journal; if all samples are the same, the journal contains all that decided them."""
+"""Re-simulation of a rig from its journal of inputs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Sent(NamedTuple):
     Attributes:
         stamp_ns: rig time of the first sample [ns].
         samples: samples [A, m or V by `drive.kind`], shape (n,).
-        received_ns: rig time at which the recorder received the block [ns]: that of the last scan recorded before it.
+        received_ns: rig time at which the recorder received the block [ns], taken from the last scan recorded before.
         is_doubtful: whether a reset may have discarded the block. If so, the block is used only for samples that no
             other block contains.
     """
@@ -76,16 +76,16 @@ def resimulate(journal: Iterable[JournalEntry], waveform: Sequence[Sent] = ()) -
 class RecordedSamples(Buffer):
     """Buffer of a stream that holds all samples of a recording.
 
-    It presents only those samples as buffered that took effect in the recorded rig. The BEGIN and END events of the
-    stream in the journal of that rig say which. If such a sample is not in the recording, `there` raises a ConfigError.
+    The buffer presents only those samples as buffered that took effect in the recorded rig. The stream events BEGIN and
+    END in the rig's journal say which samples these are.
 
     Args:
         rig: re-simulated rig, driven by the stream.
         entries: entries of the recorded rig's journal after the first.
-        waveform: blocks of samples in the order of their receipt, but first those that a reset may have discarded
-            (`is_doubtful`). If several blocks contain a sample, the last one counts. A block that arrived after the
-            time of the sample only counts if no earlier block contains it, except doubtful ones. Blocks with a value or
-            stamp that the rig rejects are ignored.
+        waveform: blocks of samples in the order of their receipt, after the blocks that a reset may have discarded
+            (`is_doubtful`). If several blocks contain a sample, the last block counts. A block that arrived after the
+            time of the sample counts only if no earlier block, except doubtful ones, contains the sample. Blocks that
+            the rig rejects are ignored.
     """
 
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
@@ -120,7 +120,7 @@ class RecordedSamples(Buffer):
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
         """Return, for each of the samples first … end − 1, whether it took effect in the recorded rig.
 
-        It is False after both the last recorded sample and the last event of the stream in the journal.
+        The result is False after the end of both the recorded samples and the stream events in the journal.
 
         Raises:
             ConfigError: an earlier sample took effect but is not in the recording.
@@ -151,7 +151,7 @@ class RecordedSamples(Buffer):
     def first_missing(self, first: int) -> int:
         """Return the number of the first sample from `first` on that did not take effect in the recorded rig.
 
-        If the journal ends while samples take effect, it is the number after the last recorded sample.
+        If the journal ends while samples take effect, the result is the number after the last recorded sample.
         """
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2:
@@ -169,7 +169,7 @@ class RecordedSamples(Buffer):
         return self._switches[at] if at < len(self._switches) else None
 
     def clear(self) -> None:
-        """Do nothing at a stop of the stream: the recording keeps all samples; the journal says which took effect."""
+        """Do nothing: a stop of the stream discards no sample of the recording."""
 
 
 class Resimulation:
@@ -211,9 +211,9 @@ class Resimulation:
                 yield config
 
     def finish(self, until_ns: int) -> None:
-        """Simulate until the entries of the journal up to the rig time of a reset, `until_ns` [ns], are applied.
+        """Simulate until all journal entries up to the rig time `until_ns` [ns] are applied, and drop the blocks.
 
-        `calibrations` and `configurations` then contain all changes. The blocks up to there are dropped.
+        Afterwards `calibrations` and `configurations` contain all changes up to that time.
         """
         while self._coming and self._instant(self._coming[0]) <= until_ns:
             next(self.blocks)
@@ -237,7 +237,7 @@ class Resimulation:
     def _instant(self, change: JournalEntry) -> int:
         """Return the rig time [ns] at which to apply a journal entry: the start of the tick with the entry's scan.
 
-        For a fault it is the time of scan 0, because the rig itself lets the fault act from the entry's scan on.
+        A fault is applied at the time of scan 0, because the rig itself delays the fault to the entry's scan.
         """
         if change.kind is InputKind.FAULT:
             return self.rig.start_ns
@@ -259,8 +259,7 @@ def _named(entry: JournalEntry) -> Iterator[None]:
 def apply(rig: Rig, change: JournalEntry) -> None:
     """Apply the input of a journal entry to a rig at its frontier, the first time that is not yet simulated.
 
-    Entries that are results of the simulation, such as a trip, are skipped. There is no `start` or `reset` among the
-    inputs, because a re-simulation begins at the last one.
+    Entries of the kinds `start` and `reset`, and results of the simulation such as a trip, are skipped.
 
     Raises:
         ConfigError: the entry's values are invalid, or it is a command for something else than frequency or current.

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Truth of a rig, which its instruments do not show: states at scan instants, and contacts, until their block is cut.
+"""True states at scan instants and true contacts of a rig, stored until their block of scans is cut.
 
-Instants are computed from integer ticks and a remainder, so nothing depends on how many ticks are simulated per call.
+Instants are computed from integers, so nothing depends on how many ticks are simulated per call.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 
 
 def monitor_step(rate_hz: int, monitor_hz: float) -> int:
-    """Return the least number of scans per monitor instant that gives a monitor rate of at most `monitor_hz`."""
+    """Return the smallest number of scans per monitor instant for a monitor rate of at most `monitor_hz` [Hz]."""
     return max(1, math.ceil(rate_hz / monitor_hz - 1e-9))
 
 
@@ -73,11 +73,11 @@ def state_rows(
     tick_s: float,
     rows: Reals,
 ) -> None:
-    """Fill `rows` with the true states at a selection of scans: the number of the scan, then the quantities of `query`.
+    """Fill `rows` with the true states of a motion at a selection of scans.
 
-    `Truth.pop_states` later replaces the number by the time. `rows` has the shape (n, 1 + q) for q quantities, and
-    `query` has room for n instants. `tick_s` is the duration of a tick in the time of the motion [s]: 10 ms, scaled by
-    the error of the scan clock.
+    Each row has the number of the scan, followed by the quantities that `query` requests. `rows` has the shape (n, 1 +
+    q) for q quantities, and `query` has room for n instants. `tick_s` is the duration of a tick in the time of the
+    motion [s]: 10 ms, scaled by the error of the scan clock.
     """
     seconds_per_rest = tick_s / scans.rate_hz
     for i in range(rows.shape[0]):
@@ -93,10 +93,10 @@ def state_rows(
 
 @entry(IMPACT, float, IMPACTS, REALS)
 def impact_rows(found: Records, clock_per_motion: float, rows: Records, ends: Reals) -> None:
-    """Fill `rows` with the rows of truth/impacts for the impacts `found` in a motion, and `ends` with their ends.
+    """Convert the impacts `found` in a motion to rows of truth/impacts (`rows`), and compute their ends (`ends`).
 
     The times in `rows` and `ends` count from scan 0 in seconds of the scan clock. A second of motion lasts
-    `clock_per_motion` seconds of that clock. The durations in `rows` are in seconds of motion.
+    `clock_per_motion` seconds of the scan clock. Durations are in seconds of motion.
     """
     for i in range(found.shape[0]):
         impact, row = found[i], rows[i]
@@ -112,9 +112,9 @@ class Truth:
 
     Args:
         rate_hz: scans per second.
-        monitor_hz: highest rate of the monitor topics, > 0 [Hz]. The state at every k-th scan is kept, with the
-            smallest k for which the rate of scans divided by k does not exceed it.
-        every_scan: whether to keep the state at every scan; `pop_states` then marks every k-th one.
+        monitor_hz: highest rate of the monitor topics, > 0 [Hz]. The state at every k-th scan is kept, where k is the
+            result of `monitor_step`.
+        every_scan: whether to keep the state at every scan instead; `pop_states` then marks every k-th state.
     """
 
     def __init__(self, rate_hz: int, monitor_hz: float, every_scan: bool) -> None:
@@ -128,9 +128,9 @@ class Truth:
         """Choose the scans whose true states are kept, from the next tick on.
 
         Args:
-            monitor_hz: highest rate of the monitor topics, > 0 [Hz]. The state at every k-th scan is kept, with the
-                smallest k for which the rate of scans divided by k does not exceed it.
-            every_scan: whether to keep the state at every scan; `pop_states` then marks every k-th one.
+            monitor_hz: highest rate of the monitor topics, > 0 [Hz]. The state at every k-th scan is kept, where k is
+                the result of `monitor_step`.
+            every_scan: whether to keep the state at every scan instead; `pop_states` then marks every k-th state.
         """
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
@@ -170,8 +170,8 @@ class Truth:
         """Return and remove the kept true states of scans first … first + count − 1.
 
         Returns:
-            The states, with `time` since scan `first` [s]. For each state the number of its scan, from 0 for scan
-            `first`. A mask of the states that are at instants of the monitor topics, or `slice(None)` if all are.
+            The states, with `time` since scan `first` [s]. The scan number of each state, from 0 for scan `first`. A
+            mask of the states that are at monitor instants, or `slice(None)` if all states are.
         """
         if not self._states:
             return _NO_STATES, _NO_SCANS, _ALL

@@ -66,11 +66,11 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
 def draw(
     run: Run, found: Sequence[Findings], directory: Path, formats: Sequence[str] = FIGURE_FORMATS
 ) -> tuple[Excerpt, list[Path]]:
-    """Draw the figures of a run; return its `last_excerpt`, and the paths of the new files in `directory`.
+    """Draw the figures of a run to files in an existing directory; return the excerpt shown and the paths of the files.
 
-    Spectrum and phase plane show this excerpt, and the time traces its last `TRACED_CYCLES` drive cycles. `found` are
-    the findings that `reanalysis.analyze` yields. The directory must exist: `prepare` creates it. The phase plane is
-    drawn only of a displacement, and the figure `curves` only if a gap has settled rows at several frequencies.
+    `found` are the findings that `reanalysis.analyze` yields. Spectrum and phase plane show the `last_excerpt` of the
+    run, and the time traces its last `TRACED_CYCLES` drive cycles. The phase plane is drawn only for a displacement,
+    and the figure `curves` only if a gap has settled rows at several frequencies.
 
     Raises:
         RecordingError: the run has no calibration or too few scans, or a file exists or cannot be written.
@@ -124,8 +124,7 @@ def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, 
 def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
     """Return the settled rows of `transmissibility/table` by label, one curve per gap and direction of the sweep.
 
-    A gap that was measured at one frequency only, in whatever direction, is left out. The rows of a curve keep their
-    order.
+    A gap that was measured at only one frequency is left out. The rows of a curve keep their order.
     """
     rows = rows[rows["settled"] == 1.0]
     curves: dict[str, NDArray[np.void]] = {}
@@ -165,7 +164,7 @@ def aliasing(info: NDArray[np.void]) -> str:
 
 
 def titled(figure: Figure, run: Run, what: str = "") -> Figure:
-    """Give a figure the name of the run, followed by `what` if it is not empty, as its title; return the figure."""
+    """Set the title of a figure to the name of the run, followed by `what` if given; return the figure."""
     name = run.path.name.replace("$", r"\$")  # next to the mathematical symbols of `what`
     figure.suptitle(f"{name}: {what}" if what else name, fontsize="medium")
     return figure

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements on an excerpt of a run that the live analysis does not make: frequency response and fitted sines.
+"""Frequency response and fitted sines of an excerpt of a recorded run, which the live analysis does not compute.
 
 An excerpt is a series of contiguous scans that is drawn, or measured as one record.
 """
@@ -63,7 +63,7 @@ class Excerpt:
     def newest(self, cycles: int) -> Excerpt:
         """Return the last `cycles` drive cycles (at least one) of this excerpt.
 
-        It is all of it if it is shorter or the drive is unknown.
+        The result is the whole excerpt if it is shorter or the drive frequency is unknown.
         """
         scans = round(cycles / self.drive_hz * self.rate_hz) if self.drive_hz else len(self.rows)
         rows = self.rows[-scans:]
@@ -81,11 +81,11 @@ class Excerpt:
 def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     """Return the scans of the last settled measurement of a run; without a settled one, those at the end of the run.
 
-    The latter last for `UNSETTLED_S`, `UNSETTLED_CYCLES` or `UNSETTLED_SCANS`, whichever is longest; less if scans are
-    missing before them. `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
+    Scans at the end of the run last for `UNSETTLED_S`, `UNSETTLED_CYCLES` or `UNSETTLED_SCANS`, whichever is longest,
+    or less if scans are missing there. `found` are the findings of `reanalysis.analyze`, one for each block of scans.
 
     Raises:
-        RecordingError: the run has no calibration, or fewer than `FEWEST_DRAWN` contiguous scans there.
+        RecordingError: the run has no calibration, or the excerpt has fewer than `FEWEST_DRAWN` contiguous scans.
     """
     settled = [
         (number, table)
@@ -154,11 +154,11 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
 
 
 def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, NDArray[np.void]]:
-    """Return the newest contiguous scans up to the end of block `last` (from 0): about `span_s` seconds, or fewer.
+    """Return the newest contiguous scans up to the end of block `last` (from 0), at most about `span_s` seconds.
 
     Returns:
         The number of the block from which times count: the first block of the run, or the first one after its stamps
-        last went back. Then the stamp of this block [ns], and the rows, whose `time` counts from that stamp [s].
+        last went back. Then the stamp of this block [ns], and the rows, whose `time` [s] counts from this stamp.
     """
     kept: deque[Table] = deque()
     first, origin_ns = 0, 0
@@ -177,7 +177,7 @@ def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[i
 
 
 def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
-    """Return the rows of all tables; their `time` [s] counts from `origin_ns` instead of the stamp of each table."""
+    """Return the rows of all tables as one array, with `time` [s] counted from the rig time `origin_ns` [ns]."""
     parts = []
     for table in tables:
         rows = table.rows.copy()
@@ -244,7 +244,7 @@ def need_motions(run: Run, rows: NDArray[np.void]) -> None:
 
 @attrs.frozen(eq=False)
 class Sines:
-    """Sines fitted to all channels of an excerpt, at one frequency, which is fitted to a reference channel."""
+    """Sines fitted to all channels of an excerpt at one frequency, which is fitted to a reference channel first."""
 
     reference: SineFit
     """Fit of the reference channel, including its frequency, which all other fits use.

@@ -252,9 +252,9 @@ def _response_functions(
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
     """Return y over x as a dataset 58 for pyuff, without a unit of y.
 
-    `kind` is its function type: `_TIME_RESPONSE` or `_RESPONSE_FUNCTION`. `unit` is the unit of x: s or Hz.
-    Of an evenly spaced time x, the file has only the first value and the step, with six digits each. Readers compute
-    the other values from them. Of any other x, the file has all values.
+    `kind` is its function type: `_TIME_RESPONSE` or `_RESPONSE_FUNCTION`. `unit` is the unit of x: s or Hz. If x is an
+    evenly spaced time, the file has only its first value and the step, with six digits each. Otherwise the file has all
+    values of x.
     """
     begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
     line = one_line(name, 80)  # a line of its own in the file

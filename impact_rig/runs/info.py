@@ -112,7 +112,7 @@ class RunInfo:
 
 
 def info(path: Path | str) -> RunInfo:
-    """Read all of a finished run, and return its summary: contents, losses, checksums and a verdict.
+    """Read a finished run completely, and return its summary: contents, losses, checksums and a verdict.
 
     Args:
         path: a run directory or an MCAP file.
@@ -235,10 +235,10 @@ def _verdict(
 
 
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
-    """Return the sum over all rigs of a recording of their blocks, scans and gaps.
+    """Return the total numbers of blocks and scans of all rigs in a recording, and their gaps.
 
-    The result is None if the scan rate of a rig with scans, or of all rigs, is unknown. The blocks of several rigs
-    alternate in a recording, so gaps are found for each rig separately.
+    The result is None if the scan rate of a rig with scans is unknown, or of all rigs. Gaps are found for each rig
+    separately.
     """
     found = [
         check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts, resets=rig.resets) for rig in rigs if rig.rate_hz
@@ -273,7 +273,7 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
 
 
 def _absent_files(run: Run) -> list[str]:
-    """Return a clause for each missing file: `metadata.yaml` of a directory, and the next file if the last names it."""
+    """Return a clause for each missing file: `metadata.yaml` of a directory, and any next file that the last names."""
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
@@ -311,13 +311,11 @@ def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Ta
 
 
 def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]) -> tuple[int, int]:
-    """Return the numbers of duplicate messages of a topic, and of messages that were received but are not in the files.
+    """Return the number of duplicate messages of a topic, and the number of received messages missing in the files.
 
-    A file does not name the sender of a message. The sequence numbers in the files are therefore compared with those of
-    all publishers together: a number may occur once for each publisher whose range of numbers includes it, and each
-    further occurrence is a duplicate. The second result is the number of messages that the recorder received, minus
-    those in the files without duplicates. Both results are 0 if this comparison is impossible: some messages have no
-    sequence number, or the account lacks the numbers of some publishers.
+    A file does not name the sender of a message. A sequence number may therefore occur once for each publisher whose
+    range of numbers includes it. Each further occurrence counts as a duplicate. Both results are 0 if messages or
+    publishers have no numbers to compare.
 
     Args:
         numbers: sequence numbers of the messages of a topic in the files.
@@ -353,9 +351,10 @@ class _RigScans:
 
     @property
     def rate_hz(self) -> float | None:
-        """Scans per second from the times in a block, else from the calibration, else from the stamps of blocks.
+        """Scans per second; None if unknown.
 
-        The stamps give a rate only if blocks have one scan each. None means unknown.
+        The rate follows from the times in a block, else from the calibration, else from the stamps of blocks of one
+        scan each.
         """
         found = self.from_times or next(iter(self.rates), None)
         if self.rates and found and abs(self.rates[0] / found - 1.0) < SAME_RATE:
@@ -370,8 +369,7 @@ class _RigScans:
     def span_s(self) -> float:
         """Rig time from the first scan to the end of the last [s], with the gaps between them.
 
-        If stamps go back, as after a restart of the rig or with a block out of order, the durations before and after
-        that are added.
+        If stamps go back, for example after a restart of the rig, the durations before and after are added.
         """
         total_ns = begin_ns = end_ns = before_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
@@ -403,7 +401,7 @@ class _Tally:
         """Sequence numbers of the messages of each topic, as given by their publishers."""
 
     def add(self, message: Message) -> None:
-        """Count one message; also keep the facts of its rig if it is a block of scans, a calibration or a journal.
+        """Count one message, and keep what a block of scans, a calibration or a journal entry says about its rig.
 
         Raises:
             DamageError: a message of `daq/scan` is not a valid table.

@@ -26,9 +26,9 @@ MOST_LISTED = 12  # maximum number of items listed individually
 def origin(attachments: Mapping[str, bytes]) -> dict[str, str]:
     """Return the origin of an imported run (what was read, assumed and left out) as a text for each heading.
 
-    `attachments` are the files stored inside the run, by name. The result is empty for a run that was not imported, or
-    whose description of its source (`SOURCE`) is larger than `LARGEST_BYTES`. If that description is damaged, the
-    result says so under the heading `origin`.
+    `attachments` are the files stored inside the run, by name; the attachment `SOURCE` describes the origin. The result
+    is empty if the run was not imported, or `SOURCE` is larger than `LARGEST_BYTES`. If `SOURCE` is damaged, the result
+    says so under the heading `origin`.
     """
     text = attachments.get(SOURCE, b"")
     if not text or len(text) > LARGEST_BYTES:

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reanalysis of a recorded run by the live node's `Tracker`, and comparison with the live results.
+"""Analysis of a recorded run by the `Tracker` of the live node, and comparison with the live results.
 
-A measurement begins at the last change (a command, a label, a reset) or at the start of the data. The results of the
-live analysis and of the reanalysis therefore agree from the first change that both received. Before this change, one of
-the two analyses has received more scans than the other, so their results cannot be compared.
+A measurement begins at the last change (a command, a label, a reset) or at the start of the data. The live analysis and
+the reanalysis may start with different scans. Their results can therefore be compared only from the first change that
+both received.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ _NEEDED = (topics.INFO, topics.APPLIED, topics.SCAN)
 def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table) -> Iterator[Findings]:
     """Analyse a recorded run as the live node does, and yield the findings of each block of scans.
 
-    The last findings follow the last block: those that the analysis makes when the data end. The settings are the last
-    ones of the live analysis; without a live analysis in the run, the defaults.
+    One more item follows: the findings that the analysis makes when the data end. The settings are the last ones of the
+    live analysis in the run, or the defaults without a live analysis.
 
     Args:
         run: an open run.
@@ -81,13 +81,11 @@ def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _
 
 
 def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
-    """Yield the messages of some topics of a run in the order in which the rig published them (publish time).
+    """Yield messages of a run in the order in which the rig published them.
 
-    Scans keep the order in which they were received; the other messages are inserted by their publish times. The order
-    of receipt does not suffice for them, because each topic reaches a recorder independently. On a busy machine a
-    change may arrive many scans late, and latched messages arrive late at a recorder that starts while the rig runs.
-    Without a calibration (`daq/info`) nothing can be measured, so the first calibration is yielded before all scans in
-    any case.
+    Scans keep the order in which they were received. Other messages are inserted by their publish times, because each
+    topic reaches a recorder independently and may be late. The first calibration (`daq/info`) precedes all scans in any
+    case, because nothing can be measured without it.
 
     Args:
         run: an open run.
@@ -114,12 +112,11 @@ def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator
 
 
 def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
-    """Return the last settings of the live analysis in a run, and the gap labels that it has published.
+    """Return the last settings of the live analysis in a run, and the gap labels that the live analysis has published.
 
     If no live analysis was recorded, the settings are the defaults, and the labels are those in the operator's remarks.
-    The list of labels is empty if the settings of two analyses alternate, because it is then unknown which of them
-    made a label. Call this before the scans are analysed, because a label may have been recorded after the scan from
-    which it applies.
+    If the settings of two analyses alternate, the list of labels is empty, because the source of each label is unknown.
+    Call this before the scans are analysed, because a label may be recorded after the scan from which it applies.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
@@ -143,10 +140,9 @@ class _LiveSettings:
 def _live_settings(run: Run) -> list[_LiveSettings]:
     """Return the settings that live analyses of a run published, in order; invalid tables are skipped.
 
-    Settings apply from the stamp of their table on. Those with which an analysis starts have the stamp 0, so they apply
-    to all scans that it receives. If it was restarted during the run, these are only the scans after the restart. Of
-    several analyses with settings from before the first scan, only those of the last one are returned. The others ended
-    before the run; their settings were recorded only because the topic is latched.
+    Settings apply from the stamp of their table on. Those of an analysis that was restarted during the run apply only
+    to scans after the restart. Of several analyses that started before the first scan, only the last one counts. The
+    others ended before the run; their settings were recorded only because the topic is latched.
 
     Raises:
         RecordingError: all recorded settings are invalid.
@@ -217,7 +213,7 @@ def rows(tables: list[Table]) -> NDArray[np.void]:
 
 
 def newest_settled(tables: list[Table]) -> NDArray[np.void]:
-    """Return the last settled row at each gap and frequency, by gap (unknown first) and then frequency; shape (n,)."""
+    """Return the last settled row at each gap and frequency, shape (n,), by gap (unknown first) and then frequency."""
     found = rows(tables)
     settled: NDArray[np.void] = found[found["settled"] == 1.0]
     keys = zip(np.nan_to_num(settled["gap"], nan=-1.0).tolist(), settled["frequency"].tolist(), strict=True)
@@ -231,8 +227,8 @@ def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]
     Args:
         run: an open run.
         topic: the topic.
-        blocks: None means all texts, in log-time order. Otherwise only those recorded before block number `blocks` of
-            scans, counted from 1, are returned, in the order of recording.
+        blocks: None returns all texts, in log-time order. A number returns only the texts recorded before this block of
+            scans, counted from 1, in the order of recording.
     """
     if not run.holds(topic):
         return []
@@ -326,7 +322,7 @@ class Agreement:
 class _Blind:
     """Series of scans that one of the two analyses has not received: above `begin`, up to and including `end`.
 
-    Both are scan indexes. `begin` is −∞ for the scans before the first one that it received.
+    Both are scan indexes. `begin` is −∞ for all scans before the first one that the analysis received.
     """
 
     begin: float
@@ -348,9 +344,9 @@ class _Row:
 
 
 def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Agreement:
-    """Compare the results of a later analysis of a run with those of the live analysis that it contains.
+    """Compare the results of a later analysis of a run with the live results that the run contains.
 
-    If the run contains none, or one that cannot be compared, `same` of the result is None and `reason` says why.
+    If there are no live results, or they cannot be compared, `same` of the result is None and `reason` says why.
 
     Args:
         run: an open run.
@@ -425,9 +421,9 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
 def lag_s(run: Run, block_s: float) -> float:
     """Return by how much messages of other topics may arrive later than the scans of the same time [s of rig time].
 
-    Other messages may therefore be missing for this time at the end of a recording. The reason is that a rig may run
-    ahead of its peers by `time.ack_window` blocks (16 if the run does not state it). The result is the duration of one
-    block more, and at least `LAG_S`.
+    A rig may run ahead of its peers by `time.ack_window` blocks (`DEFAULT_AHEAD` if the run does not state it). At the
+    end of a recording, other messages may be missing for this time. The result is one block longer, and at least
+    `LAG_S`.
 
     Args:
         run: an open run.
@@ -462,7 +458,7 @@ def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
 def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
     """Compare the values on the topic `transmissibility` with the settled live rows from which they were made.
 
-    The values must be equal. At each end of the recording, one of the two may lack up to `EDGE` of them.
+    The values must be equal. At each end of the recording, one of the topics may lack up to `EDGE` values.
     """
     name = topics.TRANSMISSIBILITY.name
     if not run.holds(name):
@@ -479,9 +475,9 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
 
 
 def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
-    """Return whether two lists of values are equal where both exist, if `shown` begins `shift` values after `settled`.
+    """Return whether two lists of values agree where they overlap, if `shown` begins `shift` values after `settled`.
 
-    One list may continue for up to `EDGE` values after the end of the other. Lists that do not overlap do not agree.
+    They do not agree if they do not overlap, or if one ends more than `EDGE` values before the other.
     """
     ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
     both = min(len(ours), len(theirs))
@@ -494,10 +490,9 @@ def _number(cdr: bytes | memoryview) -> float:
 
 
 def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
-    """Compare the impacts of both analyses, live and offline, between the two scan indexes of `span`, inclusive.
+    """Compare the impacts of the live and the later analysis between the two scan indexes of `span`, inclusive.
 
-    An impact that only one of them found is a difference. Both analyses have received all scans of the span. Values are
-    compared within `TOLERANCE`, because the state of the filter depends on the scan at which each analysis began.
+    An impact that only one analysis found is a difference. Values must agree within `TOLERANCE`.
     """
     name = topics.IMPACTS.name
     if not run.holds(topics.IMPACTS):
@@ -527,7 +522,7 @@ def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, 
 
 
 def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]]:
-    """Return (index of the scan nearest to its time, row) for each row of tables of impacts, in the order of scans."""
+    """Return (index of the nearest scan, row) for each row of tables of impacts, in the order of scans."""
     found = [
         (scan_index(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
         for table in tables
@@ -547,8 +542,8 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
     """Return the series of scans that the live analysis has not received, according to its rows `live` (at least one).
 
-    The first series is that of the scans before the earliest measurement. Each row with the status
-    `lost_blocks`, except the last row, adds that of the scans between it and the measurement of the next row.
+    The first series contains the scans before the earliest measurement. Each row with the status `lost_blocks`, except
+    the last row, adds the scans between this row and the next measurement.
     """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
@@ -557,9 +552,9 @@ def _blind(live: Sequence[_Row]) -> list[_Blind]:
 def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
     """Return whether the row of one analysis can be compared with the other analysis.
 
-    The other analysis must have received all scans of the row. If the row does not begin at a change (command, label
-    or reset), but where its own analysis began to receive scans, the other one must start to measure or to receive
-    scans there, too. A row with the status of lost blocks is never compared.
+    The other analysis must have received all scans of the row. If the row begins where its own analysis began to
+    receive scans, the other analysis must also begin to receive scans or to measure there. A row with the status of
+    lost blocks is never compared.
 
     Args:
         row: row of one analysis.
@@ -578,7 +573,7 @@ def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact:
 
     Args:
         live: rows of the live analysis.
-        ours: rows of the later analysis; those that end after scan `late` may be missing in the live ones.
+        ours: rows of the later analysis. Rows that end after scan `late` may be missing in the live analysis.
         late: index of a scan.
         exact: whether different bits are a difference; otherwise differences within `TOLERANCE` are accepted.
 
@@ -618,8 +613,8 @@ def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
     """Return the name of the first column in which two rows differ; an empty text if none does.
 
-    With `exact`, every different bit counts. Otherwise real numbers that agree within `TOLERANCE` count as equal; it
-    is relative, but absolute for the columns `ABSOLUTE`.
+    With `exact`, every different bit counts. Otherwise real numbers that agree within `TOLERANCE` count as equal. The
+    tolerance is relative, except for the columns `ABSOLUTE`, where it is absolute.
     """
     for name in ours.dtype.names or ():
         a, b = theirs[name].astype(ours.dtype[name]), ours[name]

@@ -72,7 +72,9 @@ def of_run(run: Run) -> Iterator[JournalEntry]:
 
 
 def entries(message: Message) -> list[JournalEntry]:
-    """Return the journal entries in a recorded message of `rig/journal`: one from a JSON line, or all of an old table.
+    """Return the journal entries in a recorded message of `rig/journal`.
+
+    A message has one entry, as a line of JSON. A message of an earlier version is a table with several entries.
 
     Raises:
         ConfigError: the message is not a valid journal.

@@ -13,14 +13,12 @@
 # limitations under the License.
 """Recovery of the intact messages of a damaged run, as a new run with complete index and statistics.
 
-By default only messages of chunks with a matching checksum are recovered, and only attachments and metadata with a
-matching checksum. Everything in the new run is therefore as it was recorded. Losses are listed, and counted as far as
-possible.
+By default only chunks of messages, attachments and metadata with a matching checksum are recovered, so everything in
+the new run is as it was recorded. Losses are listed, and counted as far as possible.
 
 A damaged file is read record by record (`DamagedFile`). A record is accepted only if its lengths agree with each other
 and with the size of the file. Otherwise, the search continues at the next position that looks like a chunk, an
-attachment or a metadata record. The work is proportional to the size of the file, whatever it contains: the search
-never goes back, and it does not search within a chunk whose content is damaged.
+attachment or a metadata record. The search never goes back, so its work is proportional to the size of the file.
 """
 
 from __future__ import annotations
@@ -131,7 +129,7 @@ class DamagedFile:
         """Yield the positions of the records of the data section, and the damaged parts between, in file order.
 
         The records are structurally valid; checksums and the contents of chunks are not checked. The iteration ends at
-        the DataEnd record, which is not yielded, or without one at the end of the file.
+        the DataEnd record, which is not yielded, or at the end of the file.
         """
         position = 0
         if self._read(0, len(records.MAGIC)) == records.MAGIC:
@@ -172,10 +170,9 @@ class DamagedFile:
         return found
 
     def _next_record(self, start: int) -> int:
-        """Return the offset from `start` on of the next chunk, attachment or metadata record with consistent lengths.
+        """Return the offset of the next chunk, attachment or metadata record from `start` on; else the file size.
 
-        It is the size of the file if there is none. Of the metadata records, only those of this package and of rosbag2
-        are searched.
+        The lengths of the record are consistent. Only metadata records of this package and of rosbag2 are found.
         """
         window, width = start, _FIRST_WINDOW_BYTES
         while window < self.size:
@@ -309,8 +306,7 @@ class FileReport:
     def missing_s(self) -> float | None:
         """Duration of the scans that are missing before, between and after the recovered ones [s of rig time].
 
-        Before and after, the duration follows from the first and last log time in the index, which count as rig
-        time.
+        The durations before and after follow from the first and last log time in the index, which count as rig time.
         Gaps between recovered scans count as 0 if the scan rate is unknown. The result is None without an index.
         """
         if self.expected is None:
@@ -362,7 +358,10 @@ class RecoverReport:
 
     @property
     def complete(self) -> bool:
-        """Return whether nothing is known to be missing; True also for an unfinished run without damage."""
+        """Return whether nothing is known to be missing.
+
+        An unfinished run without damage also counts as complete.
+        """
         return self.damage_count == 0 and not self.missing_messages
 
     def file(self, path: Path) -> FileReport:
@@ -381,7 +380,7 @@ class RecoverReport:
             self.damages.append(damage)
 
     def heal(self, file: str, offset: int) -> None:
-        """Remove the damage at `offset` of a file from the report, because the tail has the messages of that part."""
+        """Remove the damage at `offset` of a file from the report, because the file's tail has the lost messages."""
         for damage in self.damages:
             if (damage.file, damage.offset) == (file, offset):
                 self.damages.remove(damage)
@@ -397,7 +396,7 @@ RECORD_NAME = "impact_rig/recovered"  # metadata record of a recovered run
 
 @attrs.frozen
 class Recovered:
-    """Losses of a recovery, which the new run contains as a metadata record."""
+    """Losses of a recovery, stored as a metadata record in the new run."""
 
     source: str  # name of the damaged run
     damages: int  # number of damaged parts
@@ -421,7 +420,7 @@ class Recovered:
 def read_record(record: Mapping[str, str]) -> Recovered | None:
     """Return the losses of a recovery from the content of the metadata record `RECORD_NAME` of a run.
 
-    None means that the content is empty: a run without this record was not written by a recovery.
+    The result is None if the content is empty, which means that no recovery wrote the run.
 
     Raises:
         DamageError: the record is invalid.
@@ -443,8 +442,8 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
 def is_cut_short(run: Run) -> bool:
     """Return whether a run was recovered from a file without a usable index, so that its end may be incomplete.
 
-    A killed recorder leaves such a file. It may have received scans before messages of other topics that belong to the
-    same time, so those messages may be missing at the end.
+    A killed recorder leaves such a file. Other messages from the time of the last scans may be missing, because they
+    can arrive later than scans.
 
     Raises:
         DamageError: the record of the recovery is invalid.
@@ -460,14 +459,14 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     """Write the messages of every intact chunk of a damaged or unfinished run to the new run directory `out`.
 
     Attachments and metadata that match their checksums are written as well. If the recorder was killed while a chunk
-    was open, the messages of this chunk are taken from its tail (`*.mcap.tail`). A chunk or message that exceeds a
-    limit of reading is left out as damaged.
+    was open, the messages of this chunk are taken from its tail, the file `*.mcap.tail`. A chunk or message that
+    exceeds a limit of reading is left out as damaged.
 
     Args:
         path: a run directory or an MCAP file; it is only read.
         out: the new run directory; must not contain a recording.
         accept_unchecked: whether to accept chunks, messages outside chunks, attachments and metadata without a
-            checksum, as rosbag2 writes them by default. Damage in them is not detected.
+            checksum. rosbag2 writes none by default. Damage in such parts is not detected.
 
     Returns:
         The report: the counts of recovered and missing messages, and each damaged part (at most 1000) with the
@@ -543,10 +542,11 @@ def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> R
 
 
 def _files(path: Path, report: RecoverReport) -> list[Path]:
-    """Return the MCAP files to recover: `path` itself if it is a file, or those that its `metadata.yaml` lists.
+    """Return the MCAP files to recover: `path` itself if it is a file, or the files that its `metadata.yaml` lists.
 
-    Without a `metadata.yaml`, they are all MCAP files in the directory, in the order of the numbers in their names. The
-    same files are returned if it cannot be read or lists a missing file; the report then lists the reason as a damage.
+    If `metadata.yaml` is missing, cannot be read or lists a missing file, the result is all MCAP files in the
+    directory, in the order of the numbers in their names. Except for a missing `metadata.yaml`, the report then lists a
+    damage.
 
     Raises:
         RecordingError: there is no MCAP file.
@@ -588,7 +588,9 @@ _OWN_RECORDS = (
 
 
 class _Salvage:
-    """Recovery of one damaged file: the constructor reads topics, attachments and metadata, `messages` the messages.
+    """Recovery of one damaged file.
+
+    The constructor reads topics, attachments and metadata. The method `messages` reads the messages.
 
     Args:
         path: the damaged MCAP file, or the tail of one (`writer.Tail`).
@@ -643,14 +645,14 @@ class _Salvage:
                     report.note(self._damage(found, reason))
 
     def introduce_topics(self, writer: RunWriter) -> None:
-        """Register the topics of this file known so far in the writer of the new run, in the order of channel ids."""
+        """Register all topics of this file that are known so far in the writer of the new run, by channel id."""
         for _, topic in sorted(self._topics.items()):
             self.introduce(topic, writer)
 
     def introduce(self, topic: TopicDescription, writer: RunWriter) -> bool:
         """Register a topic in the writer of the new run; return whether its messages can be written.
 
-        They cannot if the topic is already registered with another type; the report then lists this as a damage.
+        The result is False if the topic is already registered with another type. The report then lists a damage.
         """
         try:
             writer.add_topic(topic)
@@ -685,12 +687,12 @@ class _Salvage:
             yield from self._open_chunk(last, newest)
 
     def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of all intact chunks of the tail, unless the recording contains them already.
+        """Yield the messages of the tail, unless the recording contains them already.
 
-        The tail is a file next to the recording (`*.mcap.tail`) with the messages of the chunk that was open. If that
-        chunk was completed, the last intact chunk of the recording has the same messages. The tail states the size of
-        the recording when the open chunk began: the chunk was completed if an intact chunk begins there or later. If
-        the tail does not state it, the chunk counts as completed if the last intact chunk has the tail's first message.
+        The tail is a file next to the recording (`*.mcap.tail`) with the messages of the chunk that was still open.
+        Normally it states the size of the recording when this chunk began. If an intact chunk begins there or later,
+        the chunk was completed, and the recording contains its messages. If the tail does not state this size, its
+        first message is searched in the last intact chunk instead.
 
         Args:
             last: offset of the last intact chunk of the recording; -1 if there is none.
@@ -726,7 +728,8 @@ class _Salvage:
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         """Yield topic and message for each message in a chunk, or for one message outside chunks.
 
-        If the chunk or the message cannot be read or exceeds a limit, it is one damage in the report.
+        If the chunk or the message cannot be read or exceeds a limit, nothing is yielded, and the report lists a
+        damage.
         """
         is_chunk = found.opcode == records.CHUNK
         try:
@@ -756,10 +759,9 @@ class _Salvage:
         return content
 
     def _unpack(self, found: Found, content: memoryview) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield topic and message for each message in the records `content`, from a chunk or from outside chunks.
+        """Yield topic and message for each message in the records `content`; decompress a message if necessary.
 
-        A message that its recorder compressed is decompressed. Messages of unknown channels are left out; the report
-        lists them as a damage at `found`.
+        Messages of unknown channels are left out, and the report lists them as a damage at `found`.
 
         Raises:
             DamageError: a message cannot be decompressed; `_messages` then leaves out the whole chunk.

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Structure of a recording: its checksums and digests, and whether index and statistics match its messages.
+"""Checks of the structure of a recording: checksums, digests, and agreement of index, statistics and messages.
 
 A reader finds messages by the index. If an index lacks a topic, the topic seems never to have been recorded, although
-the checksums of all chunks match. Therefore index and messages are compared, record by record.
+all checksums match. Therefore index and messages are compared, record by record.
 """
 
 from __future__ import annotations
@@ -56,10 +56,9 @@ class Checksums:
         )
 
     def __str__(self) -> str:
-        """Return a clause for the verdict of `info`, which uses it if no checksum was wrong.
+        """Return a clause about the checksums for the verdict of `info`, if no checksum was wrong.
 
-        It is `every checksum fits`, or says that the messages carry no checksums, how many chunks carry one, or how
-        many attachments carry none.
+        It says whether all, some or none of the messages carry a checksum, and how many attachments carry none.
         """
         parts = self.chunks + self.outside
         checked = self.checked_chunks + self.checked_outside
@@ -74,9 +73,9 @@ class Checksums:
 
 
 def checksums(run: Run) -> Checksums:
-    """Count the checksums of a recording; check those of attachments and of data with messages outside chunks.
+    """Count the checksums of a recording, and check those of attachments and of data with messages outside chunks.
 
-    The checksums of chunks are only counted, because they are checked when the chunks are read.
+    Checksums of chunks are only counted here, because they are checked when the chunks are read.
 
     Raises:
         RecordingError: the checksum of an attachment or data section does not match, or a file cannot be read.
@@ -168,7 +167,7 @@ def examine(run: Run) -> Examination:
 
 
 def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str]:
-    """Yield a sentence for each contradiction within a file; also add its topics and messages to `digest`."""
+    """Yield a sentence for each contradiction within a file, and add its topics and messages to `digest`."""
     for defined in source.summary.channels.values():
         digest.add_topic(defined, source.summary.schemas.get(defined.schema_id))
     counts: Counter[int] = Counter()

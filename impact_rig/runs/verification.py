@@ -177,8 +177,7 @@ def _complete_blocks(run: Run) -> tuple[int, int]:
     """Return the numbers of complete and of incomplete blocks of a recording whose recorder was killed.
 
     A block is complete if no message of another topic can be missing for its time. The last blocks are incomplete,
-    because messages of other topics may arrive later than scans, by up to `reanalysis.lag_s`. In a short recording, all
-    blocks are incomplete.
+    because messages of other topics may arrive up to `reanalysis.lag_s` later than scans.
     """
     stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
     lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
@@ -188,7 +187,9 @@ def _complete_blocks(run: Run) -> tuple[int, int]:
 
 
 def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None) -> Verification:
-    """Simulate a run again and compare all that the rig published; changes after the recording count as differences.
+    """Simulate a run again, and compare all that the rig published.
+
+    Changes after the recording count as differences.
 
     Args:
         run: an open run.
@@ -239,12 +240,11 @@ def _verify_all(
 
 
 def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int, int]:
-    """Return the journals of a run, the messages on `shaker/waveform` during each, and two numbers.
+    """Return the journals of a run, the messages on `shaker/waveform` during each journal, and two numbers.
 
-    A journal begins with the entry of a start or reset and lasts to the next one. Entries before the first start or
-    reset form a journal of their own. The first number is the index of the journal to which the first scan belongs. The
-    second one counts the messages on `rig/journal` that are no journal entries; they are skipped. This hides no damage:
-    if an entry of this rig is damaged, the comparison finds that it is missing.
+    A journal begins with a start or reset and lasts to the next one. Entries before the first start or reset form a
+    journal of their own. The first number is the index of the journal to which the first scan belongs. The second
+    number counts messages on `rig/journal` that are no journal entries; these are skipped.
 
     Raises:
         RecordingError: the run has no topic `rig/journal`, its journal is a table of an earlier version, or no message
@@ -286,11 +286,11 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
 
 
 def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> list[list[Sent]]:
-    """Return the messages on `shaker/waveform` by journal; a message near a reset may be in the lists of two journals.
+    """Return the messages on `shaker/waveform` by journal, with those near a reset in the lists of both journals.
 
-    `sent` has the messages by the journal during which they were recorded, but stamps continue across a reset. A
-    message that was recorded after a reset, with a stamp before that of the reset, also belongs to the journal before
-    it. A message that was recorded before a reset, with a later stamp, may also belong to the journal after it.
+    `sent` has the messages by the journal during which they were recorded. Stamps continue across a reset. A message
+    recorded after a reset, with a stamp before it, is added to the journal before the reset. A message recorded before
+    a reset, with a later stamp, is added to the journal after the reset, marked as doubtful.
     """
     found = [list(blocks) for blocks in sent]
     for number, journal in enumerate(journals[1:], start=1):
@@ -305,9 +305,9 @@ def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> 
 def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first: int) -> Iterator[tuple[int, Table]]:
     """Yield each block of scans with the index of the journal to which it belongs, from the journal `first` on.
 
-    The next journal begins with the first block that is not before its first entry. If it is of a rig that was started
-    again at the stamp at which the present journal began, or an earlier one, such as 0, it begins with the first block
-    whose stamp does not increase.
+    Stamps normally continue from journal to journal, so a journal begins with the first block at or after its first
+    entry. If a rig was started again with the same or an earlier stamp, such as 0, its journal begins with the first
+    block whose stamp does not increase.
     """
     number, before_ns = first, None
     for table in scans:
@@ -336,9 +336,9 @@ def _verify(
         following: first entry of the next journal; None for the last journal.
 
     Returns:
-        The result, and a block if a reset ends the journal: the next one of the re-simulation after the recorded ones
-        and those that a fault withheld, for `_is_missing` to check. The block is None if no reset ends the journal, if
-        it cannot be simulated (`_next`), or if the comparison ended with a difference or an error.
+        The result, and a block for `_is_missing` to check if a reset ends the journal. The block is the next one of the
+        re-simulation after the recorded ones and those that a fault withheld. It is None if no reset ends the journal,
+        if it cannot be simulated, or if the comparison ended with a difference or an error.
     """
     compared = 0
     try:
@@ -372,15 +372,15 @@ def _verify(
 def _reset_ns(following: JournalEntry | None) -> int | None:
     """Return the stamp of the reset that ends a journal [ns]; None if no reset ends it.
 
-    `following` is the first entry of the next journal: a reset, or the start of another rig. None: it is the last one.
+    `following` is the first entry of the next journal, a reset or a start; None for the last journal.
     """
     return following.stamp_ns if following is not None and following.kind is InputKind.RESET else None
 
 
 def _next(again: Resimulation) -> Block | None:
-    """Return the next block of a re-simulation; None if the recording lacks an input that the simulation needs for it.
+    """Return the next block of a re-simulation; None if the recording lacks an input that the block needs.
 
-    This can happen near a reset, because a block may extend beyond it, to a time whose inputs need not be recorded.
+    Near a reset, a block may extend to times whose inputs were not recorded.
     """
     try:
         return next(again.blocks)
@@ -389,11 +389,10 @@ def _next(again: Resimulation) -> Block | None:
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
-    """Return whether a re-simulated block that was not recorded is missing, since it was published before a reset.
+    """Return whether an unrecorded block is missing, because the rig had published it before a reset.
 
-    `reset_ns` is the stamp of the reset [ns]. The rig simulates whole ticks of 10 ms, and a reset drops scans
-    that do not fill a block yet. A block was therefore published if the tick in which it ends was simulated before the
-    reset. A block that a fault withholds is never missing.
+    `block` is the re-simulated block, and `reset_ns` the stamp of the reset [ns]. The rig had published the block if it
+    had simulated the whole 10 ms tick in which the block ends. A block that a fault withholds is never missing.
     """
     on_grid = (block.end_ns - block.scan.stamp_ns) % COMMAND_GRID_NS == 0
     return not block.lost and block.end_ns + (0 if on_grid else COMMAND_GRID_NS) <= reset_ns
@@ -406,8 +405,8 @@ def _missing(block: Block, compared: int) -> Verification:
 def _difference(logged: Table, again: Table) -> str:
     """Return the first difference between a recorded and a re-simulated table as text; empty if there is none.
 
-    They differ in stamp or number of rows, in a value, or by a column that the recorded table lacks. Further columns of
-    the recorded table are not compared. If a value differs, the text has the stamp, row, column and both values.
+    A difference is another stamp, number of rows or value, or a column that the recorded table lacks. Further columns
+    of the recorded table are not compared.
     """
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (
@@ -439,10 +438,8 @@ def _s(time_ns: int) -> str:
 class _Recorded:
     """Comparison of the recorded messages of one topic, in recorded order, with those of the re-simulation.
 
-    Messages are paired by their stamps. After the first pair, a missing or additional message is a difference (see
-    `expect`).
-
-    The attribute `coming` is stamp [ns] and content of the next recorded message; None if there is none.
+    Messages are paired by their stamps. After the first pair, a missing or additional message is a difference. The
+    attribute `coming` holds stamp [ns] and content of the next recorded message; None if there is none.
 
     Args:
         run: an open run.
@@ -469,8 +466,8 @@ class _Recorded:
     def begin(self, start_ns: int, ended_ns: int, *, is_restarted: bool) -> None:
         """Begin to compare the messages of the next journal.
 
-        If the journal starts before the previous one ended, the rig was restarted before it. Remaining messages of the
-        previous rig, with stamps from its end on, are then left out.
+        If the journal starts before the previous one ended, the rig was restarted. Remaining messages of the previous
+        rig, with stamps from its end on, are then left out.
 
         Args:
             start_ns: stamp of the first scan of the journal [ns].
@@ -485,19 +482,19 @@ class _Recorded:
         self._last_ns, self._is_restarted = start_ns, is_restarted
 
     def _has_ended(self) -> bool:
-        """Return whether no recorded message of this topic is left from the rig that wrote this journal.
+        """Return whether no recorded message of this topic is left that belongs to the present journal.
 
-        Either there is none at all, or the rig was restarted after this journal and the topic's next message has an
-        earlier stamp than its last one. A reset is no restart, because stamps continue across it.
+        A next message with an earlier stamp than the last one belongs to the next journal, if the rig was restarted
+        after the present one.
         """
         return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 
     def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
         """Compare the next recorded message with a re-simulated message; a difference is kept for the result.
 
-        If recorded messages with earlier stamps precede it, the first of them counts as a difference. Before the first
-        message of the topic has been compared, they are left out instead, and a missing message is no difference.
-        If no recorded message is left, `end` decides whether the missing ones count as a difference.
+        A recorded message with an earlier stamp is a difference, and so is a missing message. Neither counts before the
+        first message of the topic has been compared. If no recorded message is left, `end` decides whether missing
+        messages count.
 
         Args:
             stamp_ns: stamp of the re-simulated message [ns].
@@ -520,8 +517,8 @@ class _Recorded:
     def before(self, end_ns: int, first_ns: int) -> Iterator[int]:
         """Yield the stamp of each recorded message from `first_ns` to before `end_ns` [ns]; stop at a difference.
 
-        Earlier messages are treated as by `expect`. The caller must call `compare` for each stamp before it asks for
-        the next.
+        Earlier messages are treated as in `expect`. The caller must call `compare` for each stamp before it asks for
+        the next stamp.
         """
         self._leave_out_before(first_ns)
         while self.coming is not None and not self._has_ended() and self.coming[0] < end_ns and not self.difference:
@@ -547,11 +544,11 @@ class _Recorded:
         self._step()
 
     def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
-        """End the journal: the next recorded message, if it is before `end_ns`, counts as a difference.
+        """End the journal, and check whether messages are left over or missing.
 
-        It does not count if no message of the topic has agreed yet, or if another rig follows: it may belong to that
-        rig, whose stamps may be earlier. A re-simulated message that was not recorded is a difference as well, if its
-        stamp is more than `lag_ns` before the end.
+        The next recorded message is a difference if its stamp is before `end_ns`. It is no difference if no message of
+        the topic has agreed yet, or if another rig follows. A re-simulated message that was not recorded is a
+        difference if its stamp is more than `lag_ns` before the end.
 
         Args:
             end_ns: end of the scans of the journal [ns].
@@ -571,8 +568,8 @@ class _Recorded:
     def compared(self, present: bool) -> Compared:
         """Return the result of comparing this topic.
 
-        Recorded messages that have not been compared, as they belong to times without a recorded scan, count as left
-        out. `present` states whether the topic was recorded; if not, the result only says that.
+        Recorded messages that are left count as left out, because they belong to times without a recorded scan.
+        `present` states whether the topic was recorded; if not, the result only says that.
         """
         while self.coming is not None:
             self._outside += 1
@@ -661,10 +658,7 @@ class _OtherTopics:
         return self._again
 
     def compare(self, block: Block) -> None:
-        """Compare the recorded messages of the time of a re-simulated block, except scans, journal and configuration.
-
-        The scans of the block need not be recorded.
-        """
+        """Compare recorded messages from the time of a re-simulated block, except scans, journal and configuration."""
         self._drain()
         self._end_ns = block.end_ns
         for recorded, table in ((self._impacts, block.impacts), (self._faults, block.faults)):
@@ -682,10 +676,10 @@ class _OtherTopics:
         self._compare_monitors(block)
 
     def _compare_monitors(self, block: Block) -> None:
-        """Filter the scans of a re-simulated block as the monitors do, and compare the monitor messages that result.
+        """Filter the scans of a re-simulated block as the monitors do, and compare the resulting monitor messages.
 
-        The journal does not contain the rate of monitor messages, so messages at the rates of all recorded
-        configurations are accepted.
+        The journal does not contain the monitor rate, so messages at the rates of all recorded configurations are
+        accepted.
         """
         rig = self._again.rig
         if not self._filters:
@@ -701,7 +695,7 @@ class _OtherTopics:
         self._compare_smoothed(end - self._filters[-1].half)
 
     def _compare_smoothed(self, end: float = math.inf) -> None:
-        """Compare the monitor messages at the scans before index `end` with the filtered scans, and drop the latter."""
+        """Compare the monitor messages before scan index `end` with the filtered scans, and drop these scans."""
         rig = self._again.rig
         fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
         for sample in sorted(sample for sample in self._smoothed if sample < end):
@@ -854,10 +848,9 @@ class _OtherTopics:
         return Compared(name, count, left_out=rest, what="texts")
 
     def _explained(self, published: Sequence[dict[str, object]]) -> int:
-        """Return the number of configurations of the re-simulations that occur in `published`, in the same order.
+        """Return how many configurations of the re-simulations occur in `published`, in the same order.
 
-        They are counted up to the first one that does not occur. One that several re-simulations in a row have counts
-        once.
+        Counting ends at the first configuration that does not occur. Equal configurations in a row count once.
         """
         wanted = [one for one, _ in itertools.groupby(self._configurations)]
         count = 0
@@ -866,9 +859,9 @@ class _OtherTopics:
         return count
 
     def _unlike(self, config: dict[str, object]) -> str:
-        """Return a clause with the first value in which a recorded configuration differs from one of the journal.
+        """Return a clause that says how a recorded configuration differs from the most similar one of the journal.
 
-        Of all configurations of the journal, the one that differs in the fewest values counts.
+        The clause names the first value that differs.
         """
         if not self._configurations:
             return "the journal contains no configuration to compare it with"
@@ -887,10 +880,10 @@ class _OtherTopics:
 
 
 class _Monitor:
-    """Comparison of the monitor of one channel: its recorded messages with the filtered scans of the re-simulation.
+    """Comparison of the recorded monitor messages of one channel with the filtered scans of the re-simulation.
 
-    When the rate of the monitors changes, the rig restarts the filter, which then uses only later scans. Therefore, the
-    first `HALF_PERIODS` messages at a rate are not compared, nor as many after each gap in the messages.
+    The first `HALF_PERIODS` messages at a monitor rate are not compared, nor as many after a gap, because the rig
+    restarts its filter when the rate changes.
     """
 
     def __init__(self, run: Run, channel: str) -> None:
@@ -934,7 +927,7 @@ class _Monitor:
         """Compare a recorded monitor message with all possible ones; return a difference, or "" if it equals one.
 
         `made` has the filtered scans at all possible rates, and the instruments and calibrations of all configurations
-        so far. If `made` is empty, the message is not compared, and the result is empty.
+        so far. An empty `made` skips the comparison and gives "".
         """
         if not made:
             return ""
@@ -967,8 +960,8 @@ def _monitor_rates_hz(run: Run) -> set[float]:
 def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
     """Return the first field of a recorded monitor message that differs, with both values; empty if none does.
 
-    `wanted` has the re-simulated values by field; other fields are not compared. A recorded value must equal the
-    re-simulated one, or the latter rounded to a 32-bit float. NaN equals nothing.
+    `wanted` has the re-simulated values by field. Other fields are not compared. A value may be rounded to a 32-bit
+    float. NaN equals nothing.
     """
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))

@@ -22,7 +22,7 @@ from impact_rig.system.extras import load_ros
 
 
 def lazily(package: str, needs_ros: str = "", **homes: str) -> Callable[[str], object]:
-    """Return a function `__getattr__` for a package, which imports the module of a public name when it is first used.
+    """Return a `__getattr__` function for a package, which imports a module when one of its public names is first used.
 
     Args:
         package: name of the package.

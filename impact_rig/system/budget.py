@@ -13,13 +13,12 @@
 # limitations under the License.
 """Limits on the cost of reading an untrusted recording, campaign or configuration, and one way to raise them.
 
-Memory has fixed limits. Work is limited in proportion to the size of the files. Honest files stay far below both. Files
-made to fill the memory or to be read forever are rejected, with the figure that exceeds a limit. A user who trusts a
-file raises all limits with the environment variable IMPACT_RIG_BUDGET. (`impact_rig_lab.protocol` limits the messages
-of a web page.)
+Memory has fixed limits. Work is limited in proportion to the size of the files. Ordinary files stay far below both
+limits. A file that exceeds a limit is rejected, and the error names the figure. A user who trusts a file raises all
+limits with the environment variable IMPACT_RIG_BUDGET. (`impact_rig_lab.protocol` limits the messages of a web page.)
 
-Plain YAML, which `load_yaml` reads, contains values, never Python objects, and no aliases. With aliases a short text
-could expand to an endless value: an alias repeats one value in many places, or within itself.
+Plain YAML, which `load_yaml` reads, contains values, never Python objects, and no aliases. With aliases, a short text
+could expand to an endless value.
 """
 
 from __future__ import annotations
@@ -59,12 +58,12 @@ class BudgetError(ImpactRigError):
 
 
 def allow(what: str, amount: float, limit: float) -> None:
-    """Raise an error if the cost of reading something is above a limit that the user has not raised.
+    """Raise an error if the cost of reading something is above its limit, which `factor` raises.
 
     Args:
         what: unit of the cost as it follows the number in the message, such as `bytes in a chunk`.
         amount: the cost.
-        limit: largest cost that is allowed without the environment variable, which multiplies it by `factor`.
+        limit: largest allowed cost, before it is multiplied by `factor`.
 
     Raises:
         BudgetError: `amount` is above the limit; the message names both, and how to raise the limit.

@@ -13,12 +13,12 @@
 # limitations under the License.
 """Orderly end of a program on SIGINT, SIGTERM or the end of its parent process.
 
-A program creates its `Ending` in its first import, which installs the handlers before anything heavy is loaded. During
-the other imports, a signal ends the program immediately. Afterwards the first signal raises `SignalReceived` in the
-main thread, so that files and processes are closed while the exception propagates. Further signals have no effect. Code
-that must not be interrupted runs in `defer_signals`. If third-party code catches the exception, as callbacks do, it is
-raised again every second. A program that has not ended 15 s after the first signal is ended immediately, unless its
-signals raise nothing (`interrupting`).
+A program creates its `Ending` in its first import, which installs the signal handlers. Until `Ending.run` is called, a
+signal ends the program immediately. Afterwards the first signal raises `SignalReceived` in the main thread, so that
+files and processes are closed while the exception propagates. Further signals have no effect. Code that must not be
+interrupted runs in `defer_signals`. If third-party code catches the exception, it is raised again every second. A
+program that has not ended 15 s after the first signal is ended immediately, unless its signals raise nothing
+(`interrupting`).
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ class SignalReceived(KeyboardInterrupt):
 class Ending:
     """Handler of SIGINT and SIGTERM for a program; until `run` is called, a signal ends the program immediately.
 
-    During `run`, the first signal raises `SignalReceived` in the main thread, again every second while the work goes
-    on, and ends the program after 15 s. Further signals have no effect. After `run`, both signals are ignored.
+    During `run`, the first signal raises `SignalReceived` in the main thread, and again every second while the work
+    goes on. If the work has not ended after 15 s, the program is ended. Further signals have no effect. After `run`,
+    both signals are ignored.
 
     Args:
         name: name of the program, for the line printed when a signal arrives.
@@ -73,15 +74,15 @@ class Ending:
             signal.signal(number, self._on_signal)
 
     def run(self, work: Callable[[], int], *, interrupting: bool = True) -> int:
-        """Call `work`, and return its exit code, or after a signal the exit code for the first signal.
+        """Call `work`, and return its exit code, or the exit code for the first signal if one has arrived.
 
-        Further signals have no effect. After a signal, exceptions of `work` are discarded, and this prints the name of
-        the program and the signal on stderr, unless the exit code is 0 and `reason` is empty. If the process still runs
-        5 s after the work has ended on a signal, because of threads of other libraries, it is ended.
+        After a signal, exceptions of `work` are discarded. The name of the program and the signal are printed on
+        stderr, unless the exit code for the signal is 0 and `reason` is empty. If threads of other libraries then keep
+        the process alive for 5 s after the end of the work, the process is ended.
 
         Args:
             work: main function of the program.
-            interrupting: whether a signal raises `SignalReceived`; otherwise `work` must check `received` itself, and
+            interrupting: whether a signal raises `SignalReceived`. Otherwise `work` must check `received` itself, and
                 has no time limit.
         """
         signal.signal(signal.SIGALRM, self._remind)
@@ -111,7 +112,7 @@ class Ending:
             self._over()
 
     def _over(self) -> None:
-        """Ignore signals, and raise none again, because the work is done and its exit code is known."""
+        """Ignore signals from now on, and no longer raise `SignalReceived`, because the work is done."""
         ignored = False
         while not ignored:
             with contextlib.suppress(SignalReceived):  # a signal may arrive in between
@@ -167,9 +168,8 @@ class _Deferred:
 def defer_signals() -> Iterator[None]:
     """Delay the effect of SIGINT and SIGTERM to the end of a `with` block that closes files or ends processes.
 
-    If a signal arrived during the block, the end of the outermost such block raises `SignalReceived`. This delays only
-    what `Ending.run` raises. Outside the main thread this does nothing, because Python handles signals in the main
-    thread only.
+    If a signal arrived during the block, the end of the outermost such block raises `SignalReceived`. Only signals that
+    `Ending.run` handles are delayed. Outside the main thread, which alone handles signals, this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -201,8 +201,8 @@ def block_signals() -> Iterator[None]:
 def end_with(process: int, end: Callable[[], None]) -> None:
     """Call `end` in a new thread when the process with the id `process` ends.
 
-    If there is no such process, `end` is called immediately in this thread. On systems without pidfd, the end of the
-    calling process's parent is detected instead, so `process` must be that parent there.
+    If there is no such process, `end` is called immediately in this thread. On systems without pidfd, `process` must be
+    the parent of the calling process.
     """
     try:
         descriptor = os.pidfd_open(process)

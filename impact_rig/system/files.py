@@ -13,17 +13,16 @@
 # limitations under the License.
 """Safe files in directories that other users can write to: only regular files are read, and no link is written through.
 
-Reading follows links, but never blocks (a FIFO has no writer), never runs on (a device has no end) and stops at a
-limit. Writing creates a new file and moves it into place when it is complete, so it never writes into a link or file
-that another user created under that name. If a process is killed while it writes, its partial file remains until the
-next write of the same path removes it.
+Reading follows links, but never waits for a writer and stops at a limit. Writing creates a new file and moves it into
+place when it is complete. It therefore never writes into a link or file that another user created under that name. If a
+process is killed while it writes, its partial file remains until the next write of the same path removes it.
 
-A lock is held by one process of this machine at a time and is released when the process ends, for whatever reason. Its
+A lock is held by one process of this machine at a time, and is released when the process ends, for whatever reason. Its
 file is in a directory of this user and stays there: that the file exists does not mean that the lock is held.
 
-The package's own files: a checkout has `config/` and `launch/` next to the package. pip, colcon and Debian put them in
-`share/impact_rig` of the prefix that holds the package (`<prefix>/lib/python3.x/site-packages/impact_rig`). No
-environment variable decides, so a checkout and an installed version never mix.
+The functions `share_dir` and `config_dir` find the package's own files. A checkout has `config/` and `launch/` next to
+the package. pip, colcon and Debian put them in `share/impact_rig` of the prefix that holds the package. No environment
+variable decides, so a checkout and an installed version never mix.
 """
 
 from __future__ import annotations
@@ -91,13 +90,13 @@ def read_bytes(path: Path, limit: int) -> bytes:
 def atomic_write(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     """Yield a new file, open for writing, and move it to `path` at the end of the `with` block.
 
-    Its content is on the disk (fsync) before it is moved. If the block raises an error, the new file is removed and
-    `path` stays as it was.
+    The content of the file is on the disk (fsync) before the file is moved. If the block raises an error, the new file
+    is removed and `path` stays as it was.
 
     Args:
         path: path of the file.
         replace: whether to replace an existing file or link (the link itself, not its target). Otherwise an existing
-            one stays, and the end of the block raises FileExistsError.
+            file or link stays, and the end of the block raises FileExistsError.
 
     Raises:
         OSError: the file cannot be created or moved.
@@ -118,10 +117,10 @@ def atomic_write(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
 
 
 def _create_partial(path: Path) -> tuple[int, Path]:
-    """Create and lock the file that is moved to `path` later, and return its descriptor and present path.
+    """Create and lock a temporary file, which is moved to `path` later, and return its descriptor and path.
 
-    A file of the same purpose that a killed process left behind is removed. While another process writes its own, this
-    one gets a random name.
+    A temporary file for `path` that a killed process left behind is removed. If another process writes its own now, the
+    name gets a random part.
 
     Raises:
         OSError: the file cannot be created.
@@ -191,9 +190,8 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
 def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
     """Call `prepare`, which creates a directory for results, and yield its return value to the `with` block.
 
-    If `prepare` raises an error, or the block raises one before it has added a file to the directory, the directory is
-    removed, unless it existed before. Without results it would look like one, and the next attempt would refuse to
-    write into it.
+    The directory is removed if `prepare` raises an error, or if the block raises one before it has added a file. A
+    directory that existed before is not removed. A directory without results would make the next attempt fail.
 
     Args:
         directory: the directory that `prepare` creates.
@@ -214,8 +212,7 @@ def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
 def staged(directory: Path) -> Iterator[Path]:
     """Yield a temporary folder for results, and move its content to `directory` at the end of the `with` block.
 
-    If the block raises an error, the temporary folder is removed and `directory` stays as it was, so that the next
-    attempt does not meet files of this one.
+    If the block raises an error, the temporary folder is removed and `directory` stays as it was.
 
     Args:
         directory: existing or new directory; nothing in it is replaced.
@@ -248,9 +245,9 @@ def staged(directory: Path) -> Iterator[Path]:
 def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
     """Convert a value to types that JSON has, for output that other programs read.
 
-    NaN and infinite numbers become None, values of NumPy plain numbers and lists, and values of all other types the
-    text that `str` gives. Bytes become text (UTF-8, with U+FFFD for invalid bytes). Mappings, lists and tuples are
-    converted with all that they contain; the keys of mappings become text.
+    NaN and infinite numbers become None. NumPy values become plain numbers and lists. Bytes become text (UTF-8, with
+    U+FFFD for invalid bytes). Mappings, lists and tuples are converted with all that they contain; the keys of mappings
+    become text. Values of other types become the text that `str` gives.
     """
     if isinstance(value, (bool, int, str)) or value is None:
         return value
@@ -284,7 +281,7 @@ def translate_errors(what: str) -> Iterator[None]:
 def free_path(path: Path) -> Path:
     """Return `path`, or if it exists the first of `path_2`, `path_3`, … that does not exist.
 
-    Two runs that are named after the same second thus get different directories. Nothing is created or reserved.
+    Nothing is created or reserved.
     """
     numbered = (path.with_name(f"{path.name}_{number}") for number in itertools.count(2))
     return next(found for found in itertools.chain([path], numbered) if not found.exists())
@@ -293,8 +290,7 @@ def free_path(path: Path) -> Path:
 def make_folder(path: Path) -> None:
     """Create a folder for results and its parents, if it does not exist yet, and refuse a link in its place.
 
-    Another user with access to the parent could have created a link with the folder's name, to a directory that only
-    this user may write to.
+    Such a link, created by another user, could lead to a directory that only this user may write to.
 
     Raises:
         OSError: the folder cannot be created, or is a link.
@@ -363,9 +359,7 @@ def place(domain_id: int, namespace: str) -> str:
 
 
 def hold(folder: str, name: str) -> int | None:
-    """Acquire a lock and return the descriptor that holds it until closed; None if it is held already.
-
-    The holder may be another process or this one.
+    """Acquire a lock; return the descriptor that holds the lock until closed, or None if the lock is already held.
 
     Args:
         folder: folder of the lock's file, within `lock_directory`.
@@ -387,10 +381,11 @@ def hold(folder: str, name: str) -> int | None:
 
 
 def is_held_by_others(folder: str, name: str) -> bool:
-    """Return whether a lock is certainly held by a process that did not acquire it with `hold`, and so is no rig.
+    """Return whether a lock is certainly held by a process that is no rig.
 
-    `hold` writes the id of its process into the lock's file; here it is compared with the id of the process that holds
-    the lock according to the system. The result is False if the holder is unknown, for example in another container.
+    A rig acquires a lock with `hold`, which writes the id of its process into the lock's file. The result is True if
+    the lock is held by a process with another id. It is False if the lock is free or its holder is unknown, for example
+    in another container.
     """
     holding = holder(folder, name)
     if not holding:  # the lock is free, or its holder is in another container
@@ -436,7 +431,7 @@ def can_hold(folder: str, name: str) -> bool:
 
 
 def lock_directory() -> Path:
-    """Return the directory of this user's locks, created if needed: the same for all processes in any environment.
+    """Return the directory of this user's locks, which is the same for all processes; it is created if needed.
 
     No other user can open its files, so no other user can hold a lock or create a link there.
 

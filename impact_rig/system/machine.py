@@ -67,7 +67,7 @@ def identity() -> dict[str, str]:
 
 
 def fingerprint() -> int:
-    """Return a hash of `identity` below 2**48, for tables; the code is not in it.
+    """Return a hash of `identity` as an integer below 2**48.
 
     Machines with equal hashes compute the same bits if they run the same code.
     """

@@ -13,14 +13,13 @@
 # limitations under the License.
 """Repair of shared-memory segments that a killed process left half created, for which others would wait forever.
 
-Fast DDS opens the port of a peer through Boost, which creates the segment if it is missing, and waits without limit
-while another process creates it. While it waits, it holds a lock that every message of its process needs. If a process
-is killed between creating the file and finishing its first word, all processes that send to that port, or start and
-open it, therefore wait forever. This was observed in Fast DDS 2.14, in the stacks of three processes that waited for
-one empty file. Fast DDS itself discards and recreates a segment that is marked as corrupt.
+Fast DDS opens the port of a peer through Boost, which creates the segment if it is missing. While another process
+creates the segment, Boost waits without limit. If that process is killed before it writes the first word of the file,
+all processes that send to the port or open it wait forever. This was observed in Fast DDS 2.14. Fast DDS discards and
+recreates a segment that is marked as corrupt.
 
-A process that waits during its start may hold Python's interpreter lock, so that no thread of it can repair the segment
-any more. `Watch` therefore checks once when it is entered, before Fast DDS starts.
+A process that waits during its start may hold Python's interpreter lock, so that none of its threads can repair the
+segment. `Watch` therefore checks once when it is entered, before Fast DDS starts.
 """
 
 from __future__ import annotations
@@ -88,7 +87,7 @@ class Watch:
 
 
 def invalidate_abandoned_segments(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
-    """Mark each shared-memory segment as corrupt that is half created now, as it was at the last check already.
+    """Mark each shared-memory segment as corrupt that is half created now and was half created at the last check.
 
     Only ports of this user are checked, because other processes wait for these.
 

@@ -44,12 +44,12 @@ _RENEW = f"if the new result is right, run pytest once with {UPDATE_OPTION}"
 
 
 class Golden:
-    """Golden data of one test: a run and named numbers that were checked once, with which results are compared.
+    """Golden data of one test: a run and named numbers that were checked once, with which later results are compared.
 
     Args:
         directory: directory of the data, next to the test file.
-        update: whether `run` and `values` replace the data by the present results instead of comparing with them; the
-            option `--rig-update-golden` of pytest.
+        update: whether `run` and `values` replace the data by the present results instead of comparing with them. The
+            option `--rig-update-golden` of pytest sets it.
     """
 
     def __init__(self, directory: Path, *, update: bool) -> None:

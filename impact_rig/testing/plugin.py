@@ -116,8 +116,8 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Save the runs of a failed test while its rigs still exist, and add their directories to pytest's report.
 
-    The directories are below that of the option `--rig-runs` or, without it, of the ini setting `rig_runs`. The runs
-    replace those of an earlier failure of the test.
+    The option `--rig-runs`, or else the ini setting `rig_runs`, names the directory for all runs. Runs of an earlier
+    failure of the test are replaced.
     """
     report = yield
     rigs = item.stash.get(_RIGS, [])
@@ -131,8 +131,8 @@ def pytest_runtest_makereport(
 def _keep(rig: testing.RigDriver, directory: Path, item: pytest.Item) -> str:
     """Save the run of a failed test's rig, and return lines for pytest's report.
 
-    If the run cannot be saved, or the rig gives no report, a line has the error. Directory of the run (empty if not
-    saved), report and seed are added to the properties of the test, which a JUnit file contains.
+    If the run cannot be saved, or the rig gives no report, a line has the error. The test also gets the directory of
+    the run (empty if not saved), the report and the seed as properties, which a JUnit file contains.
     """
     try:
         folder = rig.save(directory / rig.name)
@@ -161,8 +161,7 @@ def _directory(item: pytest.Item) -> Path:
 def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
     """Yield the function of a fixture, which starts a rig with `make` under a name that no open rig of the test has.
 
-    If the test fails, the runs of its open rigs are kept. After the test the rigs are closed, except those with a wider
-    scope, which later tests use again.
+    After the test, the rigs are closed, except those with a wider scope, which later tests use again.
     """
     rigs = request.node.stash.setdefault(_RIGS, [])
     shared: list[testing.RigDriver] = []
@@ -193,9 +192,8 @@ def _reset_or_start(
 ) -> R:
     """Return a rig that later tests of the scope can use again.
 
-    If an earlier test of the scope has started a rig with the same arguments, it is that rig, reset to its first
-    configuration. Otherwise, or if that fails, it is a new one. A rig in this process starts in milliseconds and is
-    always new.
+    A rig that an earlier test of the scope started with the same arguments is reset to its first configuration and
+    returned. Without such a rig, or if the reset fails, a new rig is started. A rig in this process is always new.
 
     Raises:
         pytest.UsageError: the scope is neither `module` nor `session`.

@@ -11,13 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rig in this process that runs the callbacks of ROS nodes in an order that a scenario decides.
+"""Test rig that hosts ROS nodes in this process and runs their callbacks in a reproducible order.
 
-`LocalRigWithNodes.host` creates a node with real subscriptions, timers, parameters and clock. It runs the node's
-callbacks one by one in rig time, as a single-threaded executor does. Messages pass through a model of the transport
-instead of the middleware. The model has queues of each subscription's depth, compares the qualities of service of
-publisher and subscription, and gives latched messages to subscribers that join late. The order of callbacks therefore
-depends only on the scenario. The actions of a scenario are in `impact_rig.testing.strategies`.
+`LocalRigWithNodes.host` creates a node with real subscriptions, timers, parameters and clock. The rig runs the
+callbacks one by one in rig time. A model of the transport replaces the middleware, with queues, qualities of service
+and latched messages. The order of callbacks therefore depends only on the scenario. The actions of a scenario are in
+`impact_rig.testing.strategies`.
 """
 
 from __future__ import annotations
@@ -79,9 +78,9 @@ INTERNAL = ("/parameter_events", "/rosout")
 
 
 class BlockedError(AssertionError):
-    """Error of a callback, or of other code of a hosted node, that does not return.
+    """Error that code of a hosted node does not return.
 
-    It waits although no other callback can run, or runs for over 20 s of wall time.
+    The code waits although no other callback can run, or it runs for longer than `BUSY_S` seconds of wall time.
     """
 
 
@@ -122,9 +121,10 @@ class _Hosted:
 
 @attrs.frozen(order=True)
 class _Ready:
-    """Callback that can run now; the smallest one runs first.
+    """Callback that can run now.
 
-    Preferred callbacks come first, then messages in the order of their publication, then timers.
+    The order of these objects is the order of execution. Preferred callbacks come first, then messages in the order of
+    their publication, then timers.
     """
 
     is_not_first: bool
@@ -137,9 +137,9 @@ class _Ready:
 
 @attrs.define
 class _Latched:
-    """Last messages of a latched topic, which reliable, latched subscriptions receive that are created later.
+    """Last messages of a latched topic, kept for subscriptions that are created later.
 
-    Best-effort subscriptions receive none of them, as with Fast DDS.
+    Only reliable, latched subscriptions receive them.
     """
 
     qos: QoSProfile
@@ -148,14 +148,14 @@ class _Latched:
 
 
 class LocalRigWithNodes(LocalRig):
-    """Rig in this process that can host ROS nodes: a `LocalRig` with methods `host` and `listen`, similar to `RosRig`.
+    """Rig in this process that can host ROS nodes.
 
-    Until it hosts a node, it behaves as a `LocalRig`, whose arguments it takes. Its topics are in the root namespace:
-    scans are on `/daq/scan`.
+    It is a `LocalRig` with further methods such as `host` and `listen`. The constructor takes the same arguments. Its
+    topics are in the root namespace: scans are on `/daq/scan`.
 
     Attributes:
-        callbacks: log of the hosted nodes, oldest line first: callbacks that have run, messages that they published
-            or lost, changes of parameters and calls of services. The last 20,000 lines are kept.
+        callbacks: log of the hosted nodes, oldest line first. It has callbacks that have run, messages that the nodes
+            published or lost, changes of parameters and calls of services. The last `KEPT_CALLBACKS` lines are kept.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -179,11 +179,11 @@ class LocalRigWithNodes(LocalRig):
     # The nodes under test
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Create a node whose callbacks run in rig time, and return it.
+        """Create a ROS node in this process, and return it.
 
-        The node's clock is rig time (`use_sim_time`). In a callback, `time.sleep` returns at once. What the callback
-        publishes afterwards is delivered when this much rig time has passed. Until then the node runs no further
-        callback, and other nodes continue.
+        The callbacks and the clock of the node follow rig time. In a callback, `time.sleep` returns at once, but later
+        messages of the callback are delivered only when this much rig time has passed. Until then the node runs no
+        further callback.
 
         Args:
             make_node: class of the node, or a function that creates it.
@@ -216,23 +216,28 @@ class LocalRigWithNodes(LocalRig):
         return hosted.node
 
     def listen(self, topic: str) -> Collector:
-        """Return the collector of all messages that hosted nodes publish on a topic after the first call for it."""
+        """Return the collector of the messages that hosted nodes publish on a topic.
+
+        Messages are collected from the first call for the topic on.
+        """
         topic = topic.removeprefix("/")
         if topic not in self._collectors:
             self._collectors[topic] = Collector(topics.Topic(topic, "", topics.Qos.DATA, "", "", ()))
         return self._collectors[topic]
 
     def send(self, topic: str, message: Any, qos: QoSProfile | None = None) -> None:
-        """Publish a message to the hosted nodes, not to the rig; None as `qos` means that of commands.
+        """Publish a message to the hosted nodes, not to the rig.
 
-        Callbacks for it run in the next `step`. If a callback sends it, they run after that callback in the same step.
+        Without `qos`, the message has the quality of service of commands. The nodes' callbacks for it run in the next
+        `step`, or later in the present step if a callback calls `send`.
         """
         self._route(topic, type(message), qos or messages.profile(topics.Qos.EVENT), bytes(serialize_message(message)))
 
     def send_data(self, topic: str, data: object) -> None:
-        """Publish a message whose field `data` has this value, with the type that a hosted node subscribes to.
+        """Publish a message with the value `data` in its field `data` to the hosted nodes.
 
-        If `data` is None, the message has its default values. If no hosted node subscribes, nothing happens.
+        If `data` is None, the message has its default values. If no hosted node subscribes to the topic, nothing
+        happens.
         """
         name = topic.removeprefix("/")
         inboxes = (inbox for hosted in self._hosted for inbox in hosted.inboxes.values() if inbox.topic == name)
@@ -244,10 +249,10 @@ class LocalRigWithNodes(LocalRig):
     # RigDriver
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance rig time by whole blocks; before and after each, run the callbacks of hosted nodes that are due.
+        """Advance rig time by a number of blocks, and run the callbacks of hosted nodes that are due.
 
-        An exception of a callback ends the call; blocks that are already simulated remain. A callback that does not
-        return raises `BlockedError`. `timeout_s` is ignored, as by a `LocalRig`.
+        Callbacks run before and after each block. An exception of a callback ends the call, but blocks that are already
+        simulated remain. A callback that does not return raises `BlockedError`. `timeout_s` is ignored.
         """
         if not self._hosted:
             super().step(blocks, timeout_s)
@@ -273,9 +278,9 @@ class LocalRigWithNodes(LocalRig):
         return config
 
     def save(self, directory: str | Path) -> Path:
-        """Write all kept messages of the rig as an MCAP run, with the callbacks of hosted nodes in `callbacks.txt`.
+        """Write all kept messages of the rig as an MCAP run into a new directory, and return the directory.
 
-        The directory of the run must not exist yet; it is returned.
+        If the rig hosts nodes, the log `callbacks` is written to `callbacks.txt` in this directory.
         """
         directory = super().save(directory)
         if self._hosted:
@@ -291,16 +296,19 @@ class LocalRigWithNodes(LocalRig):
     # Disturbances; the actions of `strategies` call these
 
     def hold(self, source: str, blocks: int) -> None:
-        """Run no callback for messages of the topic `source` for this many blocks; the messages wait in their queues.
+        """Hold back callbacks of hosted nodes for the next `blocks` blocks.
 
-        The name of the topic has no leading slash, as for `prefer`, `duplicate` and `drop`. `TIMERS` as source holds
-        back the callbacks of all timers, `MESSAGES` those of all topics. A full queue loses its oldest message. A timer
-        that was due while it was held back runs once afterwards.
+        `source` is a topic without leading slash, `TIMERS` for all timers, or `MESSAGES` for the messages of all
+        topics. The messages wait in their queues, and a full queue loses its oldest message. A timer that is due
+        meanwhile runs once afterwards.
         """
         self._held[source] = max(self._held.get(source, 0), self._after(blocks))
 
     def prefer(self, source: str, blocks: int) -> None:
-        """Run the callbacks of the topic `source`, or of all timers (`TIMERS`), before all others for these blocks."""
+        """Run the callbacks of one source before all others for the next `blocks` blocks.
+
+        `source` is a topic without leading slash, or `TIMERS` for all timers.
+        """
         self._first[source] = self._after(blocks)
 
     def duplicate(self, topic: str, count: int = 1) -> None:
@@ -308,13 +316,17 @@ class LocalRigWithNodes(LocalRig):
         self._duplicates[topic] += count
 
     def drop(self, topic: str, count: int = 1) -> None:
-        """Drop the next `count` messages of a topic at subscriptions that are best effort; others lose nothing."""
+        """Drop the next `count` messages of a topic at best-effort subscriptions.
+
+        Reliable subscriptions still receive these messages.
+        """
         self._drops[topic] += count
 
     def calm(self) -> None:
-        """End all disturbances: step until no source is held or preferred, and cancel duplicates and losses to come.
+        """End all disturbances of callbacks and messages.
 
-        Actions that `after` has planned and that are still to come are done at the end of the call.
+        The rig advances until no source is held back or preferred. Further duplicates and drops are cancelled. Pending
+        actions of `after` run at the end of the call.
         """
         while any(until > self._time_ns for until in (*self._held.values(), *self._first.values())):
             self.step()
@@ -325,17 +337,17 @@ class LocalRigWithNodes(LocalRig):
             action()
 
     def after(self, callbacks: int, action: Callable[[], object]) -> None:
-        """Call `action` when this many further callbacks have run, counted over all hosted nodes; 0 means now."""
+        """Call `action` after this many further callbacks, counted over all hosted nodes; 0 means now."""
         if callbacks == 0:
             action()
         else:
             self._planned.append([callbacks, action])
 
     def set_parameter(self, name: str, value: object) -> None:
-        """Change a parameter of every hosted node that has it, as a client of its parameter service would do.
+        """Change a parameter of every hosted node that has it.
 
-        A node that rejects the value keeps the present one. `callbacks` has a line for each change, which says whether
-        it was rejected. If no node has the parameter, nothing happens.
+        A node that rejects the value keeps its present value. The log `callbacks` has a line for each change, which
+        says whether the node rejected it. If no node has the parameter, nothing happens.
         """
         for hosted in self._hosted:
             if hosted.node.has_parameter(name):
@@ -383,8 +395,8 @@ class LocalRigWithNodes(LocalRig):
     def _flush(self) -> None:
         """Put new messages into the queues of the subscriptions.
 
-        The messages of the rig come first, and among them the scans last. Then follow the messages that a callback
-        published after a `time.sleep`: they are due when the rig time of the sleep has passed.
+        The messages of the rig come first, and among them the scans last. Then follow messages that a callback
+        published after a `time.sleep`, if the rig time of the sleep has passed.
         """
         published, self._published = self._published, []
         for topic, data in sorted(published, key=lambda one: one[0] is topics.SCAN):
@@ -395,8 +407,8 @@ class LocalRigWithNodes(LocalRig):
     def _route(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
         """Put a message into the queues of the hosted nodes' subscriptions to its topic.
 
-        If `duplicate` applies to it, it is put there twice. If `drop` applies, best-effort subscriptions do not get it.
-        A message on a latched topic is kept for later subscribers.
+        The disturbances of `duplicate` and `drop` are applied here. A message on a latched topic is kept for later
+        subscribers.
         """
         topic = topic.removeprefix("/")
         self._numbers += 1
@@ -421,12 +433,9 @@ class LocalRigWithNodes(LocalRig):
                         self._note(hosted, f"{topic}: lost, the queue is full")
 
     def _find_entities(self) -> None:
-        """Find subscriptions that hosted nodes have created or destroyed, and reject timers that run by wall time.
+        """Update the known subscriptions of hosted nodes, and reject timers that do not run by rig time.
 
-        New subscriptions that are reliable and latched receive the latched messages of their topics.
-
-        Raises:
-            ConfigError: a timer does not follow the node's clock.
+        A new subscription that is reliable and latched receives the latched messages of its topic.
         """
         for hosted in self._hosted:
             for timer in hosted.node.timers:
@@ -511,10 +520,10 @@ class LocalRigWithNodes(LocalRig):
             action()
 
     def _call(self, hosted: _Hosted, what: str, callback: Callable[..., Any], *args: Any) -> None:
-        """Run a callback of a hosted node; a coroutine must reach its end without waiting.
+        """Run a callback of a hosted node, with the name `what` in error messages.
 
-        Raises:
-            BlockedError: the callback waits or does not return; `what` names the callback in the message.
+        If the callback waits or does not return, `BlockedError` is raised. A coroutine must reach its end without
+        waiting.
         """
         with self._running(hosted, what):
             result = callback(*args)
@@ -529,11 +538,10 @@ class LocalRigWithNodes(LocalRig):
 
     @contextlib.contextmanager
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
-        """Prepare the `with` block in which code of a hosted node runs; in it, `time.sleep` returns at once.
+        """Provide the context in which code of a hosted node runs.
 
-        What the code publishes is passed to `_publish_output`, after a sleep only when its rig time has passed. If the
-        code waits for anything else, or does not return, `BlockedError` is raised with `what`, the name of the code, in
-        its message.
+        In it, `time.sleep` returns at once, and delays later messages of the code by its rig time. If the code waits
+        for anything else, or does not return, `BlockedError` is raised. `what` is the name of the code in its message.
         """
 
         def publish(publisher: Any, message: Any) -> None:
@@ -568,7 +576,7 @@ class LocalRigWithNodes(LocalRig):
     def _publish_output(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
         """Deliver a message of a hosted node to collectors, to the rig and to the nodes' queues.
 
-        The rig gets only commands and drive samples. One that it rejects has no effect on it.
+        The rig gets only commands and drive samples. A message that the rig rejects has no effect on it.
         """
         relative = topic.removeprefix("/")
         message = deserialize_message(data, kind)
@@ -604,7 +612,7 @@ def _digest(message: Any) -> str:
 def _returning(message: str) -> Iterator[None]:
     """Raise `BlockedError` in the `with` block if its code waits or runs for too long.
 
-    The text of the error begins with `message`. In other threads than the main one, nothing is checked.
+    The error text begins with `message`. The check works in the main thread only.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Search for failures: scenarios of operator actions, faults and schedules of callbacks, drawn by Hypothesis.
+"""Search for failures of a pipeline with random scenarios, drawn by Hypothesis.
 
-A scenario is a list of actions. Actions are data: they are drawn, shrunk, printed and played again. `search` plays many
-scenarios, each on a new rig with the test's own `check`. If one fails, it reports the shortest failing scenario that it
-finds, with three lines of Python that repeat it. Requires the extra `impact_rig[strategies]`.
+A scenario is a list of actions: operator actions, instrument faults and disturbances of callbacks. `search` plays many
+scenarios, each on a new rig with the test's own `check`. It reports the shortest failing scenario that it finds, with
+three lines of Python that repeat it. Requires the extra `impact_rig[strategies]`.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ class ParameterChange:
 
 @attrs.frozen
 class Inject:
-    """Fault of an instrument, or of the whole board without `channel`, for `blocks` blocks from now on.
+    """Fault of an instrument for `blocks` blocks from now on.
 
-    `kind` and `value` are those of a `Fault`.
+    Without `channel`, it is a fault of the whole board. `kind` and `value` are those of a `Fault`.
     """
 
     kind: str
@@ -104,10 +104,10 @@ class Pause:
 
 @attrs.frozen
 class Silence:
-    """Silence of the operator: the rig runs `blocks` blocks, and its command timeout is half of this time meanwhile.
+    """Silence of the operator for `blocks` blocks, with a shorter command timeout of the rig.
 
-    The timeout counts from the last command. Unless a node under test sends one, the rig therefore ramps down after
-    half of the blocks at the latest.
+    The timeout is half of the time of these blocks. Unless a node under test sends a command, the rig therefore ramps
+    down after half of the blocks at the latest.
     """
 
     blocks: int = 2
@@ -123,7 +123,7 @@ class Silence:
 
 @attrs.frozen
 class Reset:
-    """Reset of the rig (scan 0, everything at rest) after `after` further callbacks of all hosted nodes together.
+    """Reset of the rig to scan 0 at rest, after `after` further callbacks of all hosted nodes together.
 
     Nothing happens if the rig rejects the reset, for example because its shaker is stopped.
     """
@@ -143,9 +143,9 @@ class Reset:
 
 @attrs.frozen
 class LateJoin:
-    """Late start of the pipeline: the rig runs `blocks` blocks before `check` connects the pipeline.
+    """Late start of the pipeline, after the rig has run `blocks` blocks.
 
-    This holds for actions at the begin of a scenario. Later, the rig just runs `blocks` blocks.
+    After the beginning of a scenario, the action only advances the rig by `blocks` blocks.
     """
 
     blocks: int = 1
@@ -157,9 +157,10 @@ class LateJoin:
 
 @attrs.frozen
 class Delay:
-    """Delay of a topic's messages, of all timers (`"timers"`) or of all topics (`"messages"`), for `blocks` blocks.
+    """Delay of messages or timers for `blocks` blocks.
 
-    The messages are delivered afterwards in their order; a full queue loses its oldest one.
+    `source` is a topic, `"timers"` for all timers, or `"messages"` for the messages of all topics. The messages are
+    delivered afterwards in their order. A full queue loses its oldest message.
     """
 
     source: str
@@ -208,7 +209,10 @@ class Duplicate:
 
 @attrs.frozen
 class Drop:
-    """Loss of the next `count` messages of a topic at best-effort subscriptions; reliable ones receive them."""
+    """Loss of the next `count` messages of a topic at best-effort subscriptions.
+
+    Reliable subscriptions still receive these messages.
+    """
 
     topic: str
     count: int = 1
@@ -276,7 +280,7 @@ Actions that are not a `RigAction` raise a TypeError for another rig, except `La
 
 
 def with_nodes(rig: RigDriver) -> LocalRigWithNodes:
-    """Check that a rig is a `LocalRigWithNodes`, as actions on callbacks need, and return it with this type.
+    """Check that a rig is a `LocalRigWithNodes`, and return it.
 
     Raises:
         TypeError: the rig is not a `LocalRigWithNodes`.
@@ -296,18 +300,19 @@ def schedules(
     most_actions: int = 6,
     most_blocks: int = 8,
 ) -> st.SearchStrategy[list[Action]]:
-    """Return a Hypothesis strategy for scenarios on a `LocalRigWithNodes`: actions on its nodes, transport and rig.
+    """Return a Hypothesis strategy for scenarios on a `LocalRigWithNodes`.
 
-    Except for the command timeout (`Silence`), they change no parameters of the rig.
+    A scenario has actions on the hosted nodes, on the transport and on the rig. It changes no parameter of the rig
+    except the command timeout (`Silence`).
 
     Args:
         topics: topics that the nodes under test subscribe to, without a leading slash.
         parameters: strategies for the values of parameters of the nodes, by name of the parameter.
         messages: strategies for the field `data` of messages from other nodes, by name of the topic as in `topics`.
         services: names of services of the nodes; they are called with an empty request.
-        most_actions: maximum number of actions after a `LateJoin`, with which a scenario may begin.
-        most_blocks: maximum length of a `LateJoin` or of one disturbance of the transport; overlapping ones can last
-            longer. Actions on the rig last up to `MOST_BLOCKS` blocks.
+        most_actions: maximum number of actions, without the `LateJoin` with which a scenario may begin.
+        most_blocks: maximum length of a `LateJoin` or of one disturbance of the transport; overlapping disturbances can
+            last longer. Actions on the rig last up to `MOST_BLOCKS` blocks.
     """
     blocks, after = st.integers(1, most_blocks), st.integers(0, 6)
     inputs = (*topics, *(messages or {}))
@@ -370,12 +375,11 @@ The pipeline may also raise AssertionError earlier, while the scenario is played
 
 
 def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
-    """Play a scenario on a rig with the pipeline that `check` connects, then run the final assertions of `check`.
+    """Play a scenario on a rig with the pipeline that `check` connects, then run the final assertions.
 
-    `LateJoin` actions at the begin are done before `check` is called. The rig advances by a block after each further
-    action. At the end the disturbances of the transport end (`LocalRigWithNodes.calm`). The rig advances until all
-    faults are over, by at most `MOST_BLOCKS`, and then by `AFTERWARDS` blocks. An action that the rig rejects has no
-    effect.
+    `LateJoin` actions at the beginning are done before `check` is called. The rig advances by a block after each
+    further action. An action that the rig rejects has no effect. At the end, disturbances of the transport end, and the
+    rig advances until its faults are over (by at most `MOST_BLOCKS` blocks), and by `AFTERWARDS` further blocks.
     """
     rest = list(actions)
     while rest and isinstance(rest[0], LateJoin):
@@ -400,10 +404,11 @@ def search(
     among: st.SearchStrategy[list[Action]] | None = None,
     examples: int = 100,
 ) -> None:
-    """Play scenarios until one fails; raise its error with the shortest failing scenario and how to repeat it.
+    """Play random scenarios on new rigs until one fails.
 
-    Call this from a test with its fixture `virtual_rig`, `virtual_rig_with_nodes` or `ros_rig`: the failed test then
-    keeps the recording of the shortest scenario. The same scenarios are played each time.
+    The error of the shortest failing scenario is raised, with a note of the lines that repeat it. Each call plays the
+    same scenarios. Call this function from a test with its fixture `virtual_rig`, `virtual_rig_with_nodes` or
+    `ros_rig`: the failed test then keeps the recording of the shortest scenario.
 
     Args:
         make_rig: function that starts a rig with parameters: the fixture's value.

@@ -11,4 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Campaigns: measurement of all points of a file, results in a directory, comparison with the paper; without ROS."""
+"""Campaigns: measurement of all points that a file defines, stored results, and comparison with the paper.
+
+The package needs no ROS.
+"""

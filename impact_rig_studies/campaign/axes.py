@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Readers for the values in the file of a campaign, map or dynamics study: lists, ranges, gaps.
+"""Readers for values in the file of a campaign, map or dynamics study, such as numbers, lists, ranges and gaps.
 
-Their errors name key, value and range; the argument `key` is the name of the value in these messages.
+The argument `key` is the name of the value in error messages.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
 
 
 def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
-    """Return the texts of a list, or a single text as a tuple of length 1; each must be one of `choices`.
+    """Return the texts of a list, or a single text, as a tuple; each must be one of `choices`.
 
     Raises:
         ConfigError: a text is not one of `choices` or occurs twice, or there are none.
@@ -121,13 +121,14 @@ def mapping(key: str, value: object) -> dict[str, object]:
 
 
 def values(key: str, value: object) -> list[object]:
-    """Return the values of a list, of a range `{from: a, to: b, step: s}`, or a single value as a list of length 1.
+    """Return the values of a list or range as a list; a single value becomes a list of length 1.
 
-    A range ascends from `from`, and includes `to` if that is a whole number of steps away.
+    A range is a mapping `{from: a, to: b, step: s}`. Its values ascend from `from`, and include `to` if that is a whole
+    number of steps away.
 
     Raises:
-        ConfigError: there are no or more than `MAX_VALUES` values, one occurs twice or is itself a list or mapping, or
-            the range is invalid.
+        ConfigError: there are no or more than `MAX_VALUES` values, a value occurs twice or is itself a list or mapping,
+            or the range is invalid.
     """
     items: list[object]
     if isinstance(value, dict):
@@ -150,7 +151,9 @@ def values(key: str, value: object) -> list[object]:
 
 
 def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
-    """Return the values of a list, a range or a single value, as `values` reads them: numbers > low and <= high.
+    """Return the numbers of a list, a range or a single value; each must be > low and <= high.
+
+    Lists and ranges are read by `values`.
 
     Raises:
         ConfigError: a value is not such a number, or the list or range is invalid.
@@ -159,12 +162,12 @@ def numbers(key: str, value: object, low: float, high: float = math.inf) -> tupl
 
 
 def gaps(key: str, value: object) -> tuple[float, ...]:
-    """Return the values of a list, a range or a single value, as `values` reads them; each must be a gap [m].
+    """Return the gaps [m] of a list, a range or a single value; each must be > 0 and <= 1 m.
 
-    The text `none` and null (an empty value) become `NO_SPHERE`.
+    Lists and ranges are read by `values`. The text `none` and null (an empty value) become `NO_SPHERE`.
 
     Raises:
-        ConfigError: a gap is not > 0 and <= 1 m, or the list is invalid. At 0 m both barriers would touch the sphere.
+        ConfigError: a gap is not > 0 and <= 1 m, or the list is invalid.
     """
     found = tuple(
         NO_SPHERE if item in ("none", None) else number(f"{key}[{i}]", item, 0.0, 1.0)
@@ -176,9 +179,9 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:
-    """Return the values of a list, a range or a single value, as `values` reads them: numbers, texts, true or false.
+    """Return the numbers, texts or booleans of a list, a range or a single value.
 
-    They are values of the rig's configuration, whose rules are not checked here.
+    Lists and ranges are read by `values`. The rules of the rig's configuration are not checked.
 
     Raises:
         ConfigError: a value is of another type, or the list or range is invalid.
@@ -216,9 +219,9 @@ def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], No
 
 
 def settings(key: str, given: object, kind: type[S]) -> S:
-    """Return an object of the class `kind` with the settings `given` in a file under `key`; the rest are defaults.
+    """Return an object of the class `kind` with settings from a file.
 
-    If `given` is None, all are defaults.
+    `given` is the mapping under `key` in the file; None means an empty mapping. Missing settings have default values.
 
     Raises:
         ConfigError: a key or value is wrong.

@@ -11,16 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Job`: one run that begins with a reset rig, the unit of a campaign that is measured and stored once.
+"""Definition and measurement of a job, the unit of a campaign that is measured and stored once.
 
-A job begins with a reset rig and a new analysis, so its result depends only on its own values. It is the same to the
-bit in this process, in another one, on another machine of the same kind, through ROS, and after an interruption. A
-point that is measured alone is a job with one frequency; a sweep that keeps the rig's state from point to point is one
-job with many frequencies.
+A job begins with a reset rig and a new analysis, so its result depends only on its own values. The result is the same
+to the bit in other processes, on other machines of the same kind, through ROS, and after an interruption. A job is one
+frequency, or a sweep that keeps the rig's state from point to point.
 
-All jobs of one seed are the *same rig*: `daq.seed` determines the instruments' calibration errors, which in a
-laboratory do not change from run to run. A job therefore uses the campaign's seed unchanged. If every point had its own
-seed, it would have its own instruments, and reductions would contain errors of the instruments that cancel in reality.
+All jobs of one seed use the *same rig*, because `daq.seed` determines the instruments' calibration errors. As in a
+laboratory, these errors are the same in each run, so that they can cancel in reductions.
 """
 
 from __future__ import annotations
@@ -75,10 +73,9 @@ class Job:
     traces: bool = False  # whether to keep scans and true motion after the last measurement
 
     def config(self) -> RigConfig:
-        """Return the configuration of the rig, with blocks of scans of a quarter of a second (`UPDATES_PER_S`).
+        """Return the configuration of the rig for this job.
 
-        The sweep of the job reads the measurements after each block. At high scan rates blocks are shorter, since they
-        have at most `MAX_BLOCK_SCANS` scans.
+        A block of scans lasts a quarter of a second (1 / `UPDATES_PER_S`), but has at most `MAX_BLOCK_SCANS` scans.
 
         Raises:
             ConfigError: a value is wrong.
@@ -134,7 +131,7 @@ class Job:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Outcome:
-    """Result of measuring a job: its measurements, and why it failed if it did."""
+    """Result of measuring a job: its measurements, and the reason if it failed."""
 
     rows: NDArray[np.void] = attrs.field(factory=lambda: np.zeros(0, TRANSMISSIBILITY))
     """Measurements that the sweep accepted, in their order: rows of `transmissibility/table`."""
@@ -152,12 +149,14 @@ TRUE_COLUMNS = ("x_b", "x_1", "x_2", "v_1", "v_2")
 
 
 def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = ignore) -> Outcome:
-    """Measure a job; an error of the rig or the sweep becomes the `failure` of its outcome, not an exception.
+    """Measure a job on a new rig, and return its outcome.
+
+    Errors of the rig or the sweep other than those below become the `failure` of the outcome.
 
     Args:
         job: job to measure.
-        start: function that returns a new rig with its analysis for the job, in this process or as ROS nodes.
-            `run_job` does not close the rig: if it has processes, `start` must store it for the caller to close.
+        start: function that returns a new rig with its analysis for the job, in this process or as ROS nodes. `run_job`
+            does not close the rig. If the rig has processes, `start` must store it for the caller to close.
         on_update: function that receives the sweep at its start, and after each block of scans with new measurements.
 
     Raises:
@@ -203,10 +202,10 @@ def _trace(rig: RigDriver) -> Trace:
 
 
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
-    """Convert scans, and the true motion at the same times, into columns by name, in single precision.
+    """Convert scans, and the true motion at the same times, into one array per column, by name.
 
-    The names are those of the channels, as measured, and of `TRUE_COLUMNS`; all other columns are left out. An
-    additional column `time`, in double precision, has the time since the first row [s].
+    The result has the measured channels and the true motion (`TRUE_COLUMNS`) in single precision. Its column `time` has
+    the time since the first row [s] in double precision. Other columns are left out.
 
     Args:
         scans: consecutive rows of `daq/scan`, shape (n,).

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The paper's published results, the same quantities from measurements (`Reductions`), and their largest difference.
+"""The paper's published results, and the same quantities from measurements (`Reductions`).
 
 Source: `TITLE` by `AUTHORS`. No DOI of it was found.
 """

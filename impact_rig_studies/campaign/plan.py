@@ -99,9 +99,9 @@ class Campaign:
     first: Study | None = None  # study whose first combination is the reference rig; None means the first of `studies`
 
     def reference(self) -> Job:
-        """Return the first job of the campaign file, also if `only` has left out its study.
+        """Return the reference job: the first job of the campaign file, even if `only` has left out its study.
 
-        The paper's statements are judged from jobs with its rig and current, at any gap.
+        The paper's statements are judged from jobs with the rig and current of the reference job, at any gap.
 
         Raises:
             ConfigError: the values of the job are inconsistent; the message names the study.
@@ -109,7 +109,9 @@ class Campaign:
         return next(self._expand(self.first or self.studies[0])).job
 
     def planned(self) -> list[Planned]:
-        """Return the jobs of all studies in the order of the file; a job of two studies occurs twice, with one key.
+        """Return the jobs of all studies in the order of the file.
+
+        A job that two studies contain occurs twice, with the same key.
 
         Raises:
             ConfigError: a combination of values is inconsistent; the message names the study.
@@ -170,7 +172,8 @@ def load_campaign(
     Args:
         path: path of the file.
         overrides: configuration values that override the file, by dotted name.
-        resolved: rig that all studies start with; with it, the file's `config` and `set` and the overrides are ignored.
+        resolved: rig that all studies start with. If it is given, `overrides` and the keys `config` and `set` of the
+            file are ignored.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.

@@ -58,9 +58,9 @@ def in_parallel(
 ) -> Generator[tuple[J, R], None, None]:
     """Run jobs in worker processes, and yield every job with its result, in the order of completion.
 
-    With one worker or one job, everything runs in this process. An exception of `work` is raised here, and the other
-    jobs are cancelled. If the caller stops iterating (Ctrl-C), the workers are killed, and only results that were not
-    yielded are lost. Workers end when this process ends, even if it is killed.
+    With one worker or one job, everything runs in this process. If `work` raises an exception, it is raised here, and
+    the other jobs are cancelled. If the caller stops iterating, the workers are killed, and results that were not
+    yielded are lost. The workers end when this process ends.
 
     Args:
         work: function at module level that returns the result of a job; it and the jobs are sent to the workers.
@@ -146,7 +146,10 @@ P = TypeVar("P", bound=WorkItem)
 
 @attrs.frozen
 class _Made(Generic[R]):
-    """Reply of a cluster's worker to a job without exception: its code, and the result unless this code is wrong."""
+    """Reply of a cluster's worker to a job: the worker's code, and the result.
+
+    There is no result if the worker has other code than the client.
+    """
 
     worker: str  # address of the worker
     code: str  # its `code_fingerprint`
@@ -156,7 +159,7 @@ class _Made(Generic[R]):
 def cluster_threads(address: str) -> int:
     """Return the number of worker threads of a Dask cluster, to estimate a computing time.
 
-    It is `UNLIMITED` if the cluster has none yet, since they may still join.
+    If the cluster has no workers yet, return `UNLIMITED`, because workers may still join.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -180,7 +183,10 @@ def _connected(address: str) -> Any:
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
-    """Run a job on this Dask worker, but only if its `code_fingerprint` is `code`; else the reply has no result."""
+    """Run a job on this Dask worker if the worker's code is `code`, the `code_fingerprint` of the client.
+
+    Otherwise the reply has no result.
+    """
     from distributed import get_worker  # noqa: PLC0415  # an optional dependency
 
     own = code_fingerprint(ROOMS)
@@ -188,12 +194,12 @@ def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
 
 
 def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
-    """Return a function that runs jobs on the Dask cluster at `address`, and yields each with the result of `work`.
+    """Return a function that runs jobs on the Dask cluster at `address`.
 
-    The returned function waits without a time limit if the cluster has no workers. A worker with other code than this
-    process is reported on stderr, and its jobs are sent to other workers. If jobs fail, the others are still completed;
-    then the returned function raises an ImpactRigError. It also raises one if the scheduler cannot be reached or is
-    lost, or no worker has the code of this process.
+    The returned function yields each job with the result of `work`. It waits without a time limit if the cluster has no
+    workers. A worker with other code than this process is reported on stderr and not used. The returned function raises
+    an ImpactRigError if the scheduler cannot be reached or is lost, or if no worker has the code of this process. If
+    jobs fail, it completes the other jobs first, and then raises an ImpactRigError.
 
     Raises:
         ConfigError: Dask is not installed.

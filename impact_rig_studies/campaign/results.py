@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Points of a campaign, each with its measurements or the reason why it has none; the file `summary.json`."""
+"""Points of a campaign, and the file `summary.json`.
+
+A point has its measurements, or the reason why it has none.
+"""
 
 from __future__ import annotations
 
@@ -98,10 +101,10 @@ class Point:
 
     @property
     def impacts_per_cycle(self) -> float:
-        """Impacts per drive cycle in the accelerometer's signal, mean of the point's measurements.
+        """Mean number of impacts per drive cycle in the accelerometer's signal, over the point's measurements.
 
-        NaN without a measurement, with an accelerometer that is dead or contradicts the laser, and at scan rates too
-        low to count impacts. If the accelerometer was over range, the number may be wrong.
+        It is NaN without a measurement, or if impacts could not be counted. If the accelerometer was over range, the
+        number may be wrong.
         """
         return self._mean("impacts_per_cycle")
 
@@ -125,7 +128,10 @@ class Point:
 
     @property
     def note(self) -> str:
-        """Remark that a slow sphere could still strike if the last measurement's status is `no_impacts`; else empty."""
+        """Remark that a slow sphere could still strike, or an empty text.
+
+        The remark exists only if the last measurement of the point has the status `no_impacts`.
+        """
         return note_on(self.rows[-1]) if len(self.rows) else ""
 
     @property
@@ -182,9 +188,9 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
 class Curves:
     """Settled points of the reference rig at the reference current, one for each gap [m] and frequency [Hz].
 
-    Rig and current are those of the first job in the campaign file (`Campaign.reference`). Points of sweeps without a
-    reset are left out. If several studies have a settled point with the same gap and frequency, that of the first one
-    is kept.
+    The reference rig and current are those of the first job in the campaign file (`Campaign.reference`). Points of
+    sweeps without a reset are left out. If several studies have a settled point with the same gap and frequency, the
+    point of the first study is kept.
     """
 
     by_gap: Mapping[float, Mapping[float, Point]]
@@ -221,9 +227,8 @@ COLUMNS = (
 def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
     """Return the points as a table: the names of the columns, and one row per point.
 
-    The columns are `COLUMNS`, and then one for each further axis of the points' studies. Missing measurements are NaN,
-    and so is the gap of points without the sphere. For an axis that a point's study does not have, the value is an
-    empty text.
+    The columns are `COLUMNS`, and then one for each further axis of the points' studies. Missing numbers are NaN, as is
+    the gap of points without the sphere. An axis that a point's study does not have is an empty text.
     """
     axes = list(dict.fromkeys(name for point in points for name in point.axes))
     rows: list[list[object]] = [
@@ -263,13 +268,12 @@ def write_summary(
     seed: int,
     more: Mapping[str, object],
 ) -> dict[str, object]:
-    """Write `summary.json`, the figures of a campaign or demo for other programs, and return them.
+    """Write `summary.json`, the results of a campaign or demo for other programs, and return its content.
 
-    `lost_blocks` is the number of blocks of scans that never reached the analysis (campaign) or are missing in the
-    recorded runs (demo). `wall_s` is the duration of the present measurement by this machine's clock or, after an
-    import, the length of the imported runs [s]. `simulated_s` is the simulated rig time [s] of all results, also of
-    those that were already stored. `seed` is the seed of the rig (`daq.seed`). `more` has further entries of the file,
-    which replace those of the same name.
+    `lost_blocks` is the number of blocks of scans that were lost. `wall_s` is the duration of this measurement by this
+    machine's clock or, after an import, the length of the imported runs [s]. `simulated_s` is the simulated rig time of
+    all results [s], also of results that were already stored. `seed` is the seed of the rig (`daq.seed`). `more` has
+    further entries of the file, which replace entries of the same name.
 
     Raises:
         OSError: the file cannot be written.

@@ -75,7 +75,10 @@ class Finished:
 
     @property
     def curves(self) -> Curves:
-        """The settled points, after a reset, of the reference rig (that of the first job), by gap and frequency."""
+        """Settled points of the reference rig (the rig of the first job), by gap and frequency.
+
+        Points of sweeps without a reset are left out.
+        """
         return Curves.of(self.points)
 
     def verdicts(self) -> list[Verdict]:
@@ -83,9 +86,10 @@ class Finished:
         return statements.judge(self.curves)
 
     def reductions(self) -> Reductions:
-        """Return the reductions of DT at 9.1 Hz for those of the paper's gaps with a settled point.
+        """Return the reductions of DT at 9.1 Hz for the paper's gaps.
 
-        There are none if the point without the sphere at 9.1 Hz is missing or not settled.
+        Gaps without a settled point are left out. There are no reductions if the point without the sphere at 9.1 Hz is
+        missing or not settled.
         """
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
@@ -98,7 +102,9 @@ class Finished:
 
     @property
     def info(self) -> NDArray[np.void]:
-        """Rows of `daq/info` that describe the instruments: those of imported points, else those of the reference rig.
+        """Rows of `daq/info` that describe the instruments of the campaign.
+
+        For an imported campaign, they are read from `calibration.json`. Otherwise, they are those of the reference rig.
 
         Raises:
             RecordingError: the file that contains them is damaged.
@@ -125,12 +131,18 @@ class Finished:
         return Calibration.from_info(self.info)
 
     def failed(self) -> list[Point]:
-        """Return the points of jobs with a stored result of which a measurement is missing or did not settle."""
+        """Return the points with a missing or unsettled measurement.
+
+        Jobs without a stored result have no points.
+        """
         return [point for point in self.points if not point.settled]
 
 
 def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
-    """Return every job of a campaign once; if several studies contain it and any requests traces, with traces."""
+    """Return every job of a campaign once.
+
+    If several studies contain a job and one of them requests traces, the returned job requests traces.
+    """
     found: dict[str, Job] = {}
     for job in (one.job for one in planned):
         if job.key not in found or (job.traces and not found[job.key].traces):
@@ -207,8 +219,8 @@ def open_finished(directory: str | Path) -> Finished:
 def write_results(done: Finished, wall_s: float) -> dict[str, object]:
     """Write `points.csv` and `summary.json` into the campaign's directory, and return the content of `summary.json`.
 
-    `wall_s` is the duration of the present measurement by this machine's clock, without that of results which were
-    already stored, or after an import the length of the imported runs [s].
+    `wall_s` is the duration of the present measurement by this machine's clock [s]. After an import, it is the length
+    of the imported runs [s].
     """
     files.write_csv(done.directory / CSV_FILE, *table(done.points))
     block_scans = done.campaign.planned()[0].job.config().daq.block_scans

@@ -13,9 +13,9 @@
 # limitations under the License.
 """The paper's qualitative statements, each judged on a campaign's points, with the strength of each verdict.
 
-If a statement cannot be judged, its verdict names the missing points. Six constants of the rig, which the paper does
-not print, were chosen so that the five reductions and these statements result (the report lists them). `Worth` states
-how much a verdict therefore proves. `variations` judges the statements with other values of these constants.
+If a statement cannot be judged, its verdict names the missing points. The paper does not print six constants of the
+rig. They were chosen so that the five reductions and these statements result. `Worth` therefore states how strong the
+evidence is. `variations` judges the statements with other values of these constants.
 """
 
 from __future__ import annotations
@@ -270,11 +270,11 @@ class Variation:
 
 
 def variations(points: Sequence[Point]) -> list[Variation]:
-    """Judge the statements for every rig among a campaign's points; the reference rig, if judged, is first.
+    """Judge the statements for every rig among a campaign's points, the reference rig first.
 
-    Rigs for which no statement can be judged are left out; if fewer than two are left, the list is empty. Only points
-    that began with a reset of the rig, and have a current at which the reference rig was measured, are used. A rig that
-    is not the reference rig, but whose study has no axis that names the difference, is left out as well.
+    Only points after a reset of the rig, at a current of the reference rig, are used. Rigs for which no statement can
+    be judged are left out. So is a rig that differs from the reference rig if its study has no further axis. If fewer
+    than two rigs are left, the list is empty.
     """
     currents = {point.current_a for point in points if point.reference}
     rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Store of a campaign: one file per job, written completely or not at all, so a campaign can be resumed.
+"""Store of a campaign's results, with one file per job, so that a campaign can be resumed.
 
-The files are JSON, so they are readable, and Python reads every number back with the same bits. Each file contains the
-key of its job and a digest of its content and trace. A file that was changed, or exchanged for that of another job, is
+Each file is written completely or not at all, and its numbers are read back with the same bits. It contains the key of
+its job and a digest of its content and trace. A file that was changed, or exchanged for that of another job, is
 reported and not used.
 """
 
@@ -59,7 +59,9 @@ class DamagedPointError(RecordingError):
 
 
 class Store:
-    """Store of the outcomes of a campaign's jobs in its directory: a JSON file each, and an NPZ file for a trace.
+    """Store of the outcomes of a campaign's jobs, in the campaign's directory.
+
+    Each outcome is a JSON file. A trace is a further NPZ file.
 
     Args:
         directory: directory of the campaign; created if missing.
@@ -80,13 +82,13 @@ class Store:
     def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
         """Return the stored outcome of a job, or None if the job must be measured.
 
-        A job must be measured if it has no stored outcome, if the file is damaged (noted in `damaged`), if other code
-        measured it, or if it has not failed and lacks a requested trace.
+        A job must be measured if it has no stored outcome, if the file is damaged (noted in `damaged`), or if other
+        code measured it. It must also be measured if it has not failed and lacks a requested trace.
 
         Args:
             job: the job.
-            as_it_is: whether the outcome is only shown; it is then returned also if other code measured it, or measured
-                it without the requested trace.
+            as_it_is: whether to return the outcome also if other code measured it, or measured it without the requested
+                trace.
 
         Raises:
             DamagedPointError: the file is damaged, and `as_it_is` is true.
@@ -143,10 +145,8 @@ class Store:
     def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
         """Return the content of a job's file, and the outcome in it.
 
-        Raises:
-            FileNotFoundError: the job has no file.
-            DamagedPointError: the file is damaged, or the job asks for a trace and the one stored with it is damaged or
-                lost. If none was stored, the trace is empty.
+        DamagedPointError is raised if the file or a requested trace is damaged, FileNotFoundError if the job has no
+        file.
         """
         path = self._path(job, "json")
         try:
@@ -220,19 +220,20 @@ class Store:
 
 
 class _Checked:
-    """Validator of an untrusted JSON object: its methods raise DamagedPointError for missing and invalid values.
+    """Validator of a JSON object from an untrusted file.
 
-    Unknown fields are ignored. `place` is the position of the object in the file, for messages, such as `rows[0].`.
+    Its methods raise DamagedPointError for missing and invalid values. Unknown fields are ignored. `place` is the
+    position of the object in the file, for messages, such as `rows[0].`.
     """
 
     def __init__(self, path: Path, content: Mapping[str, object], place: str = "") -> None:
         self._path, self._content, self._place = path, content, place
 
     def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
-        """Return the number under a key.
+        """Return the number in the field `key` of the object.
 
         Raises:
-            DamagedPointError: it is not a number >= `low` (> `low` if `above` is true) and <= `MOST`.
+            DamagedPointError: the value is not a number >= `low` (> `low` if `above` is true) and <= `MOST`.
         """
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
@@ -256,7 +257,10 @@ class _Checked:
         return value
 
     def each(self, key: str, most: int) -> list[Mapping[str, object]]:
-        """Return the rows under a key; raise DamagedPointError unless they are at most `most` valid measurements."""
+        """Return the rows in the field `key` of the object.
+
+        DamagedPointError is raised if a row is invalid or there are more than `most` rows.
+        """
         rows = self.several(key)
         if len(rows) > most:
             raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
@@ -302,8 +306,6 @@ def shortened(value: object) -> str:
 
 def _column(member: bytes) -> NDArray[np.generic]:
     """Read one member of an NPZ file, which must be a one-dimensional array of floating-point numbers.
-
-    The length in the member's header is checked before the data are read.
 
     Raises:
         ValueError: the member is another array, or damaged.

@@ -55,13 +55,15 @@ def to_dataframe(names: Sequence[str], rows: Sequence[Sequence[object]]) -> Any:
 def to_xarray(
     names: Sequence[str], rows: Sequence[Sequence[object]], *, grid: Sequence[str] = (), coordinates: Sequence[str] = ()
 ) -> Any:
-    """Convert a table to an `xarray.Dataset`; grid points without a row are NaN, or empty in columns of texts.
+    """Convert a table to an `xarray.Dataset`.
+
+    Grid points without a row are NaN, or empty in columns of texts.
 
     Args:
         names: names of the columns.
         rows: rows of the table.
-        grid: columns that become the dimensions; of several rows with the same values there, the last is used. Empty
-            means that the only dimension is `row`.
+        grid: columns that become the dimensions. If several rows have the same values in these columns, the last row is
+            used. Empty means that the only dimension is `row`.
         coordinates: columns that become coordinates along `row`, if the table has them; ignored if there is a grid.
 
     Raises:

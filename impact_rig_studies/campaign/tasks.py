@@ -52,7 +52,7 @@ class WorkItem(Protocol):
 
     @property
     def key(self) -> str:
-        """Identifier of the job or task: a digest of all its values that determine its result, but not of the code."""
+        """Identifier of the job or task: a digest of the values that determine its result, without the code."""
 
     def describe(self) -> str:
         """Return a short name of the job or task for the reader."""
@@ -72,7 +72,7 @@ class Task(WorkItem, Protocol):
     """Task of a map or dynamics study, whose result is stored as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
-        """Check rows that were read from this task's file, and return them in the type in which they were measured.
+        """Check rows that were read from this task's file, and return them with the types of measured rows.
 
         Raises:
             ValueError: the number of rows or columns, or a value, cannot be that of a result of this task.
@@ -165,7 +165,7 @@ class TaskStore(Generic[T]):
         return None
 
     def put(self, task: T, rows: Sequence[Row]) -> None:
-        """Write the rows that are the result of a task into the task's file; an earlier result is replaced.
+        """Write the rows of a task into its file; an earlier result is replaced.
 
         Raises:
             RecordingError: the result cannot be written.

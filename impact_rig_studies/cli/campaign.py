@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Commands `impact-rig campaign` and `report`: measurement and judgement of a campaign file, and the report of it."""
+"""Commands `impact-rig campaign` and `report`: measurement and judgement of a campaign, and its report."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ SHOWN = 20  # largest number of failed points that are printed; points.csv conta
 def run_campaign(arguments: argparse.Namespace) -> int:
     """Measure the missing jobs of a campaign file, write and print all results, and return the exit code.
 
-    The code is 1 if `--check` is given and a point failed, a statement failed, or the reductions differ from the
-    paper's by more than `POINTS_LIMIT` or `RMS_LIMIT` of `paper`; else 0. Statements that cannot be judged do not
-    count.
+    With `--check`, the code is 1 if a point failed, a statement failed, or the reductions differ from the paper's by
+    more than `paper.POINTS_LIMIT` or `paper.RMS_LIMIT`. Statements that cannot be judged do not count. Otherwise the
+    code is 0.
     """
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
@@ -127,9 +127,10 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
 
 
 def _print_reductions(console: Console, done: run.Finished) -> bool:
-    """Print the reductions next to the paper's, and return whether all measured ones are within the limits.
+    """Print the measured reductions next to the paper's, and return whether they are within the limits.
 
-    The limits are `paper.POINTS_LIMIT` and `paper.RMS_LIMIT`. The result is true if none was measured.
+    The limits are `paper.POINTS_LIMIT` and `paper.RMS_LIMIT`. Without measured reductions, nothing is printed, and the
+    result is true.
     """
     reductions = done.reductions()
     if not reductions.percent():

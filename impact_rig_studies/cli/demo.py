@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command `impact-rig demo`: measurement of the paper's five reductions by three ROS processes over their topics."""
+"""Command `impact-rig demo`: measurement of the paper's five reductions with three ROS processes."""
 
 from __future__ import annotations
 
@@ -106,12 +106,10 @@ def run_demo(arguments: argparse.Namespace) -> int:
 
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
-    """Measure without the sphere (key `NO_SPHERE`) and at all gaps; return all measurements, settled or not, by gap.
+    """Measure DT without the sphere and at the paper's gaps, and return the measurements by gap [m].
 
-    Keys are gaps in metres. Each gap is recorded as one run in `directory`, named as in `RUNS`.
-
-    Raises:
-        ImpactRigError: a gap could not be measured.
+    The key `NO_SPHERE` means without the sphere. Each gap is recorded as one run in `directory`, named as in `RUNS`.
+    ImpactRigError is raised if a gap could not be measured.
     """
     from impact_rig_studies.ros_campaign import ros_runner  # noqa: PLC0415  # needs rclpy
 

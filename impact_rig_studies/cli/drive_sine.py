@@ -57,12 +57,10 @@ SHOWN = 12  # approximate number of rows of a phase lock that are printed; the C
 
 @contextlib.contextmanager
 def _results(arguments: argparse.Namespace) -> Iterator[Path]:
-    """Create and yield the directory of a test's results, before the test: if it cannot be written, no time is lost.
+    """Create and yield the directory of a test's results, before the test begins.
 
-    If the test fails without a file in it, a new directory is removed again.
-
-    Raises:
-        ImpactRigError: the directory is not empty, or cannot be written.
+    If the test fails without a file in a new directory, the directory is removed again. ImpactRigError is raised if the
+    directory is not empty, or cannot be written.
     """
     directory = run_directory(arguments.output, arguments.test)
 
@@ -216,8 +214,7 @@ def run_lock(arguments: argparse.Namespace) -> int:
 def run_backbone(arguments: argparse.Namespace) -> int:
     """Find the resonance at each of several currents, first rising, then falling; return the exit code.
 
-    The code is 1 if the test ended early, also because the phase does not lock at the first current. It is 0 if it does
-    not lock at later currents.
+    The code is 1 if the test ended early, for example because the phase does not lock at the first current; else 0.
     """
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests of the command `impact-rig drive` that send samples to a rig: play, frf, random, replicate and shock."""
+"""Tests of the command `impact-rig drive` that stream samples: play, frf, random, replicate and shock."""
 
 from __future__ import annotations
 

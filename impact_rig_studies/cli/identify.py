@@ -58,9 +58,9 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 def run_identify(arguments: argparse.Namespace) -> int:
     """Fit constants to a campaign or to the paper's reductions of DT, print them, and return the exit code, 0.
 
-    The results of a campaign are written into its directory. The configuration with the constants is written only if
-    the data determine all of them and the model explains the data; otherwise that of an earlier fit is removed, so that
-    the directory never holds results of two fits. For the paper's reductions, nothing is written.
+    The constants of a campaign are written into its directory. A configuration with these constants is written only if
+    the data determine all of them and the model explains the data. Otherwise the configuration of an earlier fit is
+    removed. For the paper's reductions, nothing is written.
     """
     console = Console(quiet=arguments.json)
     _check_combination(arguments)
@@ -102,12 +102,9 @@ def run_identify(arguments: argparse.Namespace) -> int:
 
 
 def _check_combination(arguments: argparse.Namespace) -> None:
-    """Check that either a campaign or `--paper` is given, no option of the other fit, and no `--rig` without `--decay`.
+    """Check that the options of the command can be combined; raise ConfigError if not.
 
-    Other options without effect are accepted, such as `--decrement` with `--without decay`.
-
-    Raises:
-        ConfigError: neither or both are given, or there is such an option; the message names it.
+    Either a campaign or `--paper` is needed, without options of the other fit. `--rig` needs `--decay`.
     """
     if arguments.paper and arguments.directory is not None:
         raise ConfigError(
@@ -135,13 +132,11 @@ def _check_combination(arguments: argparse.Namespace) -> None:
 
 
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
-    """Collect the data for a fit, and print them: free decay, stepped sine and reductions.
+    """Collect the data for a fit (free decay, stepped sine and reductions), and print a summary of them.
 
-    The free decay is in the run of `--decay`. Without this option it is simulated, or missing if the campaign was
-    imported. The others are points of the campaign. Data that are missing, or named in `--without`, are None.
-
-    Raises:
-        ImpactRigError: the free decay cannot be measured from its run or simulation.
+    The free decay is that of the run of `--decay`, or simulated unless the campaign was imported. The other data are
+    points of the campaign. Data that are missing, or named in `--without`, are None. If the free decay cannot be
+    measured, ImpactRigError is raised.
     """
     base, curves = done.campaign.base, done.curves
     gains = Gains.of(done.info)

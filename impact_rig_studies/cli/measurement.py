@@ -37,9 +37,10 @@ if TYPE_CHECKING:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Import files as runs, or as one campaign, print how their signals are used, and return the exit code, 0.
+    """Import measured files as runs, or as one campaign, and return the exit code, 0.
 
-    If a file is rejected, its error is raised, and nothing is written, not even runs of the files before it.
+    The use of each file's signals is printed. If a file is rejected, its error is raised, and no run of any file is
+    written.
     """
     from impact_rig_studies.importing import store  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import guess  # noqa: PLC0415  # as above
@@ -108,9 +109,10 @@ def run_import(arguments: argparse.Namespace) -> int:
 
 
 def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Namespace) -> Mapping:
-    """Return the guessed mapping of a file's signals to channels, changed by the YAML file and then by the options.
+    """Return the mapping of a file's signals to channels.
 
-    `--channel` replaces signal, unit and sensitivity of its channel; without a signal, it removes the channel.
+    The guessed mapping is changed by the YAML file of `--mapping`, and then by the options. `--channel` replaces
+    signal, unit and sensitivity of its channel. Without a signal, `--channel` removes the channel.
     """
     from impact_rig_studies.importing.assignment import with_channel  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.mapping import MAPPING_CHARACTERS, UNITS, refined  # noqa: PLC0415  # as above
@@ -146,7 +148,10 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
 
 
 def _print_source(console: Console, source: ImportedSignals) -> None:
-    """Print the signals of a file, but not which channels they would become: the conversion of this dry run failed."""
+    """Print the signals of a file that could not be converted in a dry run.
+
+    The channels that the signals would become are not printed.
+    """
     table = TextTable(
         f"{source.path}: {source.format}", left=("signal", "unit", "kind", "given over"), right=("values",)
     )

@@ -89,18 +89,10 @@ def run_map(arguments: argparse.Namespace) -> int:
 
 
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask] | None) -> int:
-    """Add the largest Lyapunov exponents [1/s], with their standard uncertainties, to the values of a finished map.
+    """Add the largest Lyapunov exponents [1/s] and their standard uncertainties to the values of a finished map.
 
-    Only motions that are not periodic have an exponent. Other points are NaN, as are points whose exponent is neither
-    stored nor computed now.
-
-    Args:
-        done: the map, whose values are extended.
-        console: console for the progress.
-        runner: function that computes missing exponents; None means that only stored ones are added.
-
-    Returns:
-        The number of points whose task has a stored result, even if that is NaN.
+    Only motions that are not periodic have an exponent. Other points are NaN. `runner` computes missing exponents; None
+    means that only stored exponents are added. Return the number of points with a stored result.
     """
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():
@@ -144,7 +136,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
 def run_dynamics(arguments: argparse.Namespace) -> int:
     """Compute the missing tasks of a dynamics study, write, draw and print its rows, and return the exit code.
 
-    The code is 0 if one row or more has a result, else 1; see `_unsolved` for rows without one.
+    The code is 0 if at least one row has a result, else 1.
     """
     kind = arguments.kind
     file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
@@ -183,9 +175,10 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
 
 
 def _special(done: plans.FinishedStudy) -> list[dict[str, object]]:
-    """Return the key rows of a study for JSON, as mappings from column to value, with None for NaN and infinity.
+    """Return the key rows of a study for JSON, as mappings from column to value.
 
-    These are all rows, but of a continued branch only those with an event, such as its start or a fold.
+    Of a continued branch, only rows with an event are included, such as its start or a fold. Of other studies, all rows
+    are included. NaN and infinity become None.
     """
     names, rows = done.table()
     named = [dict(zip(names, row, strict=True)) for row in rows]
@@ -206,8 +199,8 @@ def _unsolved(plan: Plan, rows: list[Row]) -> int:
 def _summary(done: plans.FinishedStudy) -> dict[str, object]:
     """Return the key results of a study as data for JSON.
 
-    They are the shares of a basin, the number of rows that failed in a bifurcation (if any), nothing for a section,
-    else the rows of `_special`.
+    A basin has the shares of its motions with their 95 % intervals. A bifurcation diagram has the number of failed
+    rows, if any. A section has none. Other studies have their key rows (`_special`).
     """
     plan, rows = done.plan, done.rows
     if plan.kind == plans.BASIN:

@@ -40,8 +40,8 @@ def words(
 ) -> tuple[Path, Path, str, str]:
     """Return the arguments of a command: file, directory of the results, way of measuring, address of a Dask cluster.
 
-    The way of measuring is the first word after `--through`, one of `ways`. The file may also follow `--through` and
-    its arguments. The directory is absolute; the address is empty unless the way is `dask`.
+    The way of measuring is the first word after `--through`. The file may be an argument of its own, or the last word
+    after `--through`. The directory is absolute. The address is empty unless the way is `dask`.
 
     Args:
         arguments: parsed arguments of the command.

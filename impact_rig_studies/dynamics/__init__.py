@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Studies of the model's nonlinear dynamics, defined by one YAML file with a section for each kind in `KINDS`.
+"""Studies of the model's nonlinear dynamics, defined by a YAML file with a section for each kind in `KINDS`.
 
-They compute Poincaré sections, bifurcation diagrams, basins of attraction, periodic orbits with their energy per cycle,
-branches of orbits, and Lyapunov exponents. All results are those of the mechanics alone, with exactly located impacts
-and without sensors or noise; tables, figures and messages say so.
+The studies compute Poincaré sections, bifurcation diagrams, basins of attraction, periodic orbits with their energy per
+cycle, branches of orbits, and Lyapunov exponents. The results are those of the mechanics alone, with exactly located
+impacts and without sensors or noise.
 """
 
 KINDS = ("section", "bifurcation", "basin", "orbit", "continue", "exponent")

@@ -142,7 +142,7 @@ def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 def motion(plan: Plan, row: Row) -> str:
     """Return the legend text of the motion to which one start of a basin study leads.
 
-    It is "no impacts", the rounded DT of a periodic motion, or the regime of any other (`failed` if not simulated).
+    The text is "no impacts", the rounded DT of a periodic motion, or the regime of another motion.
     """
     cell = dict(zip(plan.columns, row, strict=True))
     if not cell["impacts_per_cycle"]:
@@ -170,7 +170,9 @@ def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 def draw_branch(
     pane: Axes, plan: Plan, rows: Sequence[Row], quantity: str, colour: str, label: str | None
 ) -> list[tuple[list[float], list[float]]]:
-    """Draw one quantity along a branch of orbits over the parameter: a line where stable, dotted where unstable.
+    """Draw one quantity along a branch of orbits over the parameter.
+
+    Stable orbits are drawn as a line, unstable orbits as a dotted line.
 
     Args:
         pane: axes to draw in.
@@ -181,7 +183,8 @@ def draw_branch(
         label: text in the legend, or None; there is no entry for a branch without orbits.
 
     Returns:
-        The drawn points (parameter in the unit of the axis, quantity) of the stable, and of the unstable orbits.
+        The drawn points of the stable orbits, and those of the unstable orbits, each as (parameter in the unit of the
+        axis, quantity).
     """
     across, height, stable = along(plan, rows, quantity)
     across = label_of(plan.over)[1] * across

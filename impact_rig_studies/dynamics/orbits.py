@@ -13,22 +13,20 @@
 # limitations under the License.
 """Periodic orbits as fixed points of a map z → f(z, p): Newton's method, multipliers, and continuation of branches.
 
-The map f gives the state of the motion one return (one or several cycles of the drive) after the state z. It is a
-function of dimensionless coordinates z, shape (n,), and of one dimensionless parameter p. It must be smooth only near
-the orbit: derivatives are central differences. For an orbit that repeats after several returns, f comprises all of
-these returns. f returns NaN if the state does not determine the motion, because the sphere is in contact with a wall.
+The map f gives the state of the motion one return after the state z. A return is one cycle of the drive, or all cycles
+after which the orbit repeats. The state is given by dimensionless coordinates z, shape (n,), and p is one dimensionless
+parameter. f returns NaN if the state does not determine the motion, because the sphere is in contact with a wall.
 
-A branch is a curve of orbits over p. It is followed by pseudo-arclength continuation (Keller 1977): the next orbit is
-searched for in the plane perpendicular to the tangent of the branch, so that it can be followed around a fold. The
-multipliers (eigenvalues of ∂f/∂z) distinguish stable from unstable orbits, and the kinds of change along a branch:
+A branch is a curve of orbits over p. Pseudo-arclength continuation (Keller 1977) searches for the next orbit in the
+plane perpendicular to the tangent of the branch, and so follows the branch around a fold. The multipliers (eigenvalues
+of ∂f/∂z) distinguish stable from unstable orbits, and the kinds of change along a branch:
 
     fold       the branch turns back in p                flip    a multiplier passes −1: orbits of twice the period
     symmetry   a multiplier passes 1 without a turn:     torus   a complex pair of multipliers passes the unit circle:
                the two half cycles become different              a second frequency appears
     grazing    multipliers jump over 1 or −1: an impact appears or disappears; close to it they grow without bound
 
-A branch of period-doubled or asymmetric orbits also turns back where these orbits begin to exist. After the turn it
-consists of the same orbits, with their state taken half a period later, or of their mirror images. The argument `born`
+A branch of period-doubled or asymmetric orbits also turns back where these orbits begin to exist. The argument `born`
 of `followed` distinguishes such a turn from a fold.
 
 H. B. Keller (1977), "Numerical solution of bifurcation and nonlinear eigenvalue problems", in P. H. Rabinowitz (ed.),
@@ -85,9 +83,10 @@ class Orbit:
 
     @property
     def kind(self) -> str:
-        """Stability as a word: `stable`, or the way in which the largest multiplier is outside the unit circle.
+        """Stability of the orbit as a word: `stable`, `torus`, `fold` or `flip`.
 
-        It is `torus` if this multiplier is one of a complex pair, otherwise `fold` if it is positive, `flip` if not.
+        An orbit that is not stable is named by its largest multiplier. The word is `torus` if this multiplier is one of
+        a complex pair, otherwise `fold` if it is positive, else `flip`.
         """
         largest = self.multipliers[0]
         if self.stable:
@@ -95,9 +94,9 @@ class Orbit:
         return TORUS if abs(largest.imag) > NEUTRAL else FOLD if largest.real > 0.0 else FLIP
 
     def towards(self, direction: Real) -> Orbit:
-        """Return the orbit with the sign of its tangent such that the tangent points along `direction`.
+        """Return the orbit with its tangent pointing along `direction`.
 
-        A caller that follows a branch needs this to keep its direction: the sign of a computed tangent is arbitrary.
+        Only the sign of the tangent changes, because the sign of a computed tangent is arbitrary.
 
         Args:
             direction: vector in the space (z, p), shape (n + 1,).
@@ -168,14 +167,14 @@ def followed(
         limits: smallest and largest p; if the branch reaches one of them, its last orbit is searched for exactly there.
         longest: largest step along the branch in the space (z, p).
         points: maximum number of orbits, without `start`.
-        born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn. It returns
-            `FLIP` if the branch is one of period-doubled orbits that begins there, `SYMMETRY` if it is one of
-            asymmetric orbits that begins there, else `FOLD`.
-        noted: returns the `note` of an orbit. It is called for each orbit and for the orbit of each change, before
-            `moved` may change the coordinates.
-        moved: changes the coordinates of `f` if its section is too close to an impact of the newest orbit. It receives
-            the points (z, p) of the start and of the two newest orbits, and returns their z in the new coordinates, or
-            None if nothing changes.
+        noted: function that returns the `note` of an orbit. It is called for each orbit and for the orbit of each
+            change, before `moved`.
+        born: function that classifies a turn of the branch in p, given an orbit of the branch and the orbit at the
+            turn. It returns `FLIP` if period-doubled orbits begin at the turn, `SYMMETRY` if asymmetric orbits begin
+            there, else `FOLD`.
+        moved: function that may change the coordinates of `f`, if its section is too close to an impact of the newest
+            orbit. It receives the points (z, p) of the start and of the two newest orbits. It returns their z in the
+            new coordinates, or None if nothing changes.
     """
     orbits: list[Orbit] = []
     changes: list[BranchChange] = []
@@ -216,8 +215,8 @@ def followed(
 def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
     """Find the orbit near the guess (z, p) by Newton's method; return None if the method does not converge.
 
-    With a `tangent`, the orbit is searched for in the plane through the guess that is perpendicular to the tangent, so
-    that p changes too. Without a tangent, p is fixed.
+    Without a `tangent`, p is fixed. With a `tangent`, p changes too: the orbit is searched for in the plane through the
+    guess that is perpendicular to the tangent.
     """
     y = origin = np.append(z, p)
     residual = f(z, p) - z
@@ -249,11 +248,8 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
 def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
     """Return the matrix of Newton's method for the unknowns y = (z, p), shape (n + 1, n + 1).
 
-    The first n rows are the derivatives of f(z, p) − z, those for p only with a tangent, else 0. The last row is the
-    tangent; without a tangent it fixes p.
-
-    Raises:
-        numpy.linalg.LinAlgError: a derivative is not finite, because a neighbour of y is undetermined.
+    Its first n rows are the derivatives of f(z, p) − z. Its last row is the tangent; without a tangent, the matrix
+    keeps p fixed. `numpy.linalg.LinAlgError` is raised if a derivative is not finite.
     """
     z, p = y[:-1], float(y[-1])
     n = len(z)
@@ -270,10 +266,10 @@ def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
 
 
 def _orbit_at(f: Map, y: Real) -> Orbit | None:
-    """Return the `Orbit` at a point y = (z, p) that is known to be a fixed point, with multipliers and tangent.
+    """Return the `Orbit` at a known fixed point y = (z, p), with its multipliers and tangent.
 
-    The sign of the tangent is arbitrary. Returns None if these derivatives do not exist, because the map is NaN at a
-    neighbouring point.
+    The sign of the tangent is arbitrary. The result is None if the map is NaN at a neighbouring point, so that the
+    derivatives do not exist.
     """
     z, p = y[:-1], float(y[-1])
     try:
@@ -286,10 +282,11 @@ def _orbit_at(f: Map, y: Real) -> Orbit | None:
 
 
 def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str]) -> Iterator[BranchChange]:
-    """Yield the bifurcations between two successive orbits of a branch, each located where its test function is zero.
+    """Yield the bifurcations between two successive orbits of a branch.
 
-    `born` classifies a turn of the branch in p, see `followed`. Where a multiplier jumps over 1 or −1 the kind is
-    `GRAZING`. Bifurcations that cannot be located are left out. The order is by kind, not along the branch.
+    Each bifurcation is located where its test function is zero. Bifurcations that cannot be located are left out.
+    `born` classifies a turn of the branch in p, see `followed`. Where a multiplier jumps over 1 or −1, the kind is
+    `GRAZING`. The order is by kind, not along the branch.
     """
     tests: dict[str, Callable[[Orbit, Real], float]] = {}
     if here.tangent[-1] * new.tangent[-1] < 0.0:

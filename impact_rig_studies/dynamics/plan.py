@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Plans of dynamics studies: validation of a section of a YAML file, its division into tasks, running and storing.
+"""Plans of dynamics studies: validation of a YAML file, its division into tasks, and their results.
 
 Tasks are independent of one another, so that several processes can run them in any order.
 """
@@ -94,9 +94,10 @@ Start = str | tuple[float, float]
 
 @attrs.frozen(kw_only=True)
 class StudyTask(HashedTask):
-    """Independent part of a dynamics study, whose stored results the same code reuses instead of running it again.
+    """Independent part of a dynamics study.
 
-    It contains every value that determines its results, so that its hash identifies them.
+    It contains every value that determines its results, so that its hash identifies the stored results. The same code
+    reuses stored results.
     """
 
     kind: str  # kind of the study
@@ -113,11 +114,14 @@ class StudyTask(HashedTask):
 
     @property
     def place(self) -> Place:
-        """Rig of the task, with frequency and amplitude of its drive, before a parameter of the study is changed."""
+        """Rig of the task, with frequency and amplitude of its drive.
+
+        The parameter that the study varies has its original value.
+        """
         return Place(from_flat(RigConfig(), self.changes), self.frequency_hz, self.current_a)
 
     def read(self, rows: Sequence[Row]) -> list[Row]:
-        """Check the number of columns of rows that were stored for this task, and return the rows as tuples.
+        """Check rows that were stored for this task, and return them as tuples.
 
         Raises:
             ValueError: a row does not have the number of columns of this kind of study.
@@ -141,9 +145,10 @@ class Plan:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of the rows of results; the parameter's name replaces `value`, if there is this column.
+        """Names of the columns of the rows of results.
 
-        For the kind `orbit`, which varies no parameter, `frequency_hz` replaces it.
+        The name of the study's parameter replaces `value`. For the kind `orbit`, which varies no parameter,
+        `frequency_hz` replaces it.
         """
         return tuple((self.over or FREQUENCY) if name == "value" else name for name in COLUMNS[self.kind])
 
@@ -153,7 +158,10 @@ Found = Sequence[tuple[StudyTask, Sequence[Row]]]
 
 @attrs.frozen(eq=False)
 class FinishedStudy:
-    """Dynamics study with the results that this code has stored of it, possibly not of all its tasks."""
+    """Dynamics study with its stored results from the present code.
+
+    Some tasks may have no results yet.
+    """
 
     plan: Plan
     found: Found  # each task with its rows of results, empty for a task without stored results
@@ -166,9 +174,8 @@ class FinishedStudy:
     def table(self) -> tuple[list[str], list[list[object]]]:
         """Return the results of all tasks as one table: the names of its columns, and its rows.
 
-        Except for a basin, columns that identify the task precede those of the plan. They are `start` (start of the
-        sphere), for a bifurcation diagram also `direction` (up, down or reset), and for a continuation also `branch`
-        (number of the branch, from 1).
+        Except for a basin, the first columns identify the task. They are `start` (start of the sphere), `direction` for
+        a bifurcation diagram (up, down or reset), and `branch` for a continuation (number of the branch, from 1).
         """
         found = []
         front: dict[str, object] = {}
@@ -186,7 +193,9 @@ class FinishedStudy:
         return tables.to_dataframe(*self.table())
 
     def to_xarray(self) -> Any:
-        """Return the table as an `xarray.Dataset`: a basin over speed and position of its starts, others over `row`.
+        """Return the table as an `xarray.Dataset`.
+
+        A basin has the dimensions speed and position of its starts. Other studies have the dimension `row`.
 
         Raises:
             ImpactRigError: xarray is not installed, or no task has stored results yet.
@@ -197,7 +206,7 @@ class FinishedStudy:
 
 
 def _front(task: StudyTask, number: int) -> dict[str, object]:
-    """Return the values of the columns that identify a task in a table of all tasks, by name, see `table`.
+    """Return the columns that identify a task in a table of all tasks, by name (`FinishedStudy.table`).
 
     `number` is the number of the task in its plan, from 1.
     """
@@ -214,8 +223,8 @@ def _front(task: StudyTask, number: int) -> dict[str, object]:
 def direction_of(task: StudyTask) -> str:
     """Return the order in which a task of a bifurcation diagram visits its parameter values: `up`, `down` or `reset`.
 
-    With `up` and `down` the motion at each value continues from that at the previous value, unless that one could not
-    be simulated; with `reset` each motion starts from rest.
+    With `up` and `down`, each motion continues the motion at the previous value, if that could be simulated. With
+    `reset`, each motion starts from rest.
     """
     values = task.what["values"]
     assert isinstance(values, Sequence)
@@ -265,7 +274,7 @@ def finished(plan: Plan, directory: str | Path) -> FinishedStudy:
 
 
 def kinds(directory: str | Path) -> list[str]:
-    """Return the kinds of dynamics study of which a directory contains results of this code, in the order of `KINDS`.
+    """Return the kinds of dynamics study with results of this code in a directory, in the order of `KINDS`.
 
     Args:
         directory: output directory of `impact-rig dynamics`; its plan file may define several kinds.
@@ -280,9 +289,9 @@ def kinds(directory: str | Path) -> list[str]:
 
 
 def run(task: StudyTask) -> list[Row]:
-    """Run a task: simulate its motions, and return its rows of results with the columns `COLUMNS[task.kind]`.
+    """Simulate the motions of a task, and return its rows of results with the columns `COLUMNS[task.kind]`.
 
-    A motion that cannot be simulated gives a row whose measured values are NaN and whose `regime` or `event` says so; a
+    If a motion cannot be simulated, the measured values of its row are NaN, and its `regime` or `event` says so. A
     section then has no rows.
     """
     return _RUNNERS[task.kind](task, **task.what)
@@ -455,12 +464,10 @@ def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tu
 
 
 def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
-    """Read `starts` of the sphere from a section of the file; without this key, the sphere starts at the left wall.
+    """Read the starts of the sphere from a section of the file; the default is the left wall.
 
-    They are words of `sphere.start` (such as left), or pairs of position [m] and speed [m/s], see `MapRig.reset`.
-
-    Raises:
-        ConfigError: the list is empty, or a start is neither such a word nor a pair of numbers within ±100.
+    A start is a word of `sphere.start` (such as left), or a pair of position [m] and speed [m/s] within ±100.
+    ConfigError is raised for another value.
     """
     found: list[Start] = []
     listed = given.get("starts", ["left"])
@@ -476,7 +483,10 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
 
 
 def named(start: object) -> str:
-    """Return a start of the sphere, a word of `STARTS` or (position [m], speed [m/s]), as text: "0.001 m at 0 m/s"."""
+    """Return a start of the sphere as text, such as "0.001 m at 0 m/s" or "left".
+
+    `start` is a word of `STARTS`, or a pair (position [m], speed [m/s]).
+    """
     return start if isinstance(start, str) else "{:g} m at {:g} m/s".format(*start)  # type: ignore[misc]  # a pair
 
 
@@ -576,12 +586,10 @@ def _continue(
 
 
 def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) -> tuple[Stroboscope, orbits.Orbit]:
-    """Return the periodic orbit to which the motion from a start settles, and the map of which it is a fixed point.
+    """Return the map of a rig, and the periodic orbit of this map to which the motion from a start settles.
 
-    The parameter `over` of the map has the value `value`, and changes by `unit` for one dimensionless step.
-
-    Raises:
-        SimulationError: there is no such orbit; the message is the reason.
+    The parameter `over` of the map has the value `value`, and changes by `unit` for one dimensionless step. If there is
+    no such orbit, SimulationError is raised, with the reason as its message.
     """
     place = at(task.place, over, value)
     strobe = Stroboscope(task.place, over, unit)
@@ -605,9 +613,10 @@ def _without_orbit(value: float, reason: SimulationError) -> Row:
 
 
 def without_results(found: Found) -> list[str]:
-    """Return one line for each task whose motion gives no section or no orbit, with its name and the reason.
+    """Return one line for each task without a section or orbit, with its name and the reason.
 
-    A section without stored rows counts as one that cannot be simulated. Tasks of other kinds of study are ignored.
+    A section without stored rows counts as a motion that cannot be simulated. Tasks of other kinds of study are
+    ignored.
     """
     lines = []
     for task, rows in found:
@@ -652,8 +661,7 @@ def _attractors(
 ) -> list[tuple[str | float, ...]]:
     """Return the periodic motions with impacts to which starts on a coarse grid of a basin lead.
 
-    A task of the basin ends the simulation of a start as soon as it approaches one of these motions, which saves most
-    of the time.
+    They save time: the simulation of a start ends as soon as it approaches one of these motions.
 
     Returns:
         For each motion, sorted by DT and without duplicates, these numbers: DT, impacts per cycle, period in cycles,
@@ -694,10 +702,10 @@ def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
 
 
 def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.ndarray) -> float:
-    """Return the distance of a state from the nearest state of an attractor, as the largest scaled difference.
+    """Return the distance of a state from the nearest state of an attractor.
 
-    `attractor` is a periodic motion from `_attractors`: three figures, then its states. The differences are divided by
-    `scale`, the size of the motion in each value of `Simulation.state`.
+    The distance is the largest difference of the state values, each divided by its `scale`. `attractor` is a periodic
+    motion from `_attractors`.
     """
     states = np.array(attractor[3:], float).reshape(-1, len(state))
     return float(np.abs((states - state) / scale).max(axis=1).min())
@@ -730,15 +738,11 @@ def _basin(
 def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float]]) -> tuple[int, int]:
     """Continue the motion of a rig until it is near a known attractor, impacts cease, or `_MOST_CYCLES` are over.
 
-    Near means within `_NEAR`. Impacts have ceased if there is none in `CHUNK` cycles. `place` states frequency and
-    amplitude of the drive.
+    `place` states frequency and amplitude of the drive. SimulationError is raised if the motion cannot be simulated.
 
     Returns:
-        Index of the attractor in `attractors` (from `_attractors`), or −1 if impacts cease or the motion comes near
-        none, and the number of simulated cycles.
-
-    Raises:
-        SimulationError: the motion cannot be simulated.
+        (index of the attractor in `attractors`, number of simulated cycles). The index is −1 if impacts cease or the
+        motion comes near no attractor.
     """
     sizes = [size(place, np.array(one[3:10], float)) for one in attractors]
     near, cycles = math.inf, 0

@@ -14,12 +14,11 @@
 """Stroboscopic map of the rig: its state once per period of an orbit (one or several cycles of the drive).
 
 Between two such states the motion is simulated with exactly located impacts. The state consists of the displacement and
-velocity of the superior base (x_1, v_1), and the sphere's position relative to it and its rate (d = x_2 − x_1, d').
-Unless the motion of the inferior base is prescribed, its displacement and velocity (x_b, v_b) are added, and for a
-voltage drive the current of the coil. Each coordinate is divided by the size of the motion, so that a step of 1 means
-the same in each.
+velocity of the superior base (x_1, v_1), and of the sphere's relative position d = x_2 − x_1 and its rate d'. If the
+inferior base moves freely, its displacement and velocity (x_b, v_b) are added. A voltage drive adds the current of the
+coil. The coordinates are dimensionless: each is divided by the size of the motion.
 
-The section is the phase of the drive at which the state is taken. It is in the longest part of the cycle without a
+The section is the phase of the drive at which the state is taken. It lies in the longest part of the cycle without a
 contact of the sphere and a wall, because the state alone does not determine a contact in progress.
 """
 
@@ -112,7 +111,7 @@ BORN = 1e-4
 class Stroboscope:
     """Stroboscopic map z → f(z, p) of a rig, for the periodic orbits of `dynamics.orbits`.
 
-    z is the state at the section in dimensionless coordinates. The map returns it after `cycles` cycles of the drive.
+    z is the state at the section in dimensionless coordinates. f(z, p) is the state `cycles` cycles of the drive later.
     `seen` sets the attributes for a settled motion.
 
     Args:
@@ -138,7 +137,7 @@ class Stroboscope:
         self._found = functools.lru_cache(maxsize=8)(self._find)
 
     def _find(self, p: float) -> tuple[Place, Model]:
-        """Return the rig at the dimensionless parameter p, and its compiled model; `_found` caches the last results.
+        """Return the rig at the dimensionless parameter p, and its compiled model.
 
         If only the drive differs from that of the original rig, the model is the original one.
         """
@@ -146,11 +145,11 @@ class Stroboscope:
         return place, self._model if place.config is self._place.config else build(place.config)
 
     def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
-        """Return the coordinates that z leads to after `returns` returns of the map, at the dimensionless parameter p.
+        """Return the coordinates to which the state z leads after `returns` returns of the map.
 
-        One return takes `cycles` cycles of the drive. The result has the shape of z, (n,).
-        It is NaN if the sphere is then in contact with a wall, or if the motion cannot be simulated. It is also NaN if
-        p is out of the parameter's range, or if a motion that had no impacts when the coordinates were chosen has one.
+        One return takes `cycles` cycles of the drive. `p` is the dimensionless parameter. The result has the shape of
+        z, (n,). It is NaN if the sphere is then in contact with a wall, the motion cannot be simulated, or p is out of
+        the parameter's range. It is also NaN if a motion that had no impacts when the coordinates were chosen has one.
         """
         try:
             motion = self._run(z, p, self.cycles * returns)
@@ -234,11 +233,10 @@ class Stroboscope:
         return FOLD
 
     def kind(self, one: Orbit) -> str:
-        """Return the stability of an orbit as `Orbit.kind`, with `SYMMETRY` where the mirror symmetry is lost.
+        """Return the stability of an orbit as a word: that of `Orbit.kind`, or `SYMMETRY`.
 
-        A symmetric orbit is a fixed point of the mirrored map over half of its period, whose multipliers are square
-        roots of those of the orbit. If the largest multiplier of the mirrored map is negative, the growing deviation
-        has opposite signs in successive half periods. The half periods then become different, and no fold is near.
+        `SYMMETRY` replaces `FOLD` for a symmetric orbit that loses its mirror symmetry: its two half periods become
+        different, and no fold is near.
         """
         if one.kind != FOLD or not self._mirrored(one) <= BORN:
             return one.kind
@@ -261,16 +259,16 @@ class Stroboscope:
     def _mirrored(self, one: Orbit) -> float:
         """Return how far an orbit is from its mirror image half a period later, as the largest coordinate difference.
 
-        Coordinates are scaled. The result is NaN if the period is an even number of cycles. It is also NaN if the
-        sphere is in contact with a wall after half a cycle or half a period, because the motion is followed to both.
+        The result is NaN if the period is an even number of cycles. It is also NaN if the sphere is in contact with a
+        wall half a cycle or half a period later.
         """
         return float(np.abs(self._half(one.z, one.p) - one.z).max()) if self.cycles % 2 else math.nan
 
     def _half(self, z: Real, p: float) -> Real:
-        """Return the mirror image of the state half a period after z, for a period of an odd number of cycles.
+        """Return the mirror image of the state half a period after z.
 
-        It is NaN if the sphere is in contact with a wall then. It is also NaN for a contact half a cycle after z,
-        because the motion is simulated in two parts that meet there.
+        The period must be an odd number of cycles. The result is NaN if the sphere is in contact with a wall half a
+        cycle or half a period after z.
         """
         turn = self.turn
         try:
@@ -329,14 +327,14 @@ class Stroboscope:
     def slopes(self, z: Real, p: float, varied: Callable[[int, float], Place], count: int) -> Slopes | None:
         """Return the derivatives of ln DT on the orbit near z with respect to `count` parameters q of the rig.
 
-        z → f(z, q) is the map, g(z, q) is ln DT during one return, and J = ∂f/∂z. The orbit moves by
-        (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Only single returns to the map are simulated.
+        z → f(z, q) is the map, g(z, q) is ln DT during one return, and J = ∂f/∂z. The orbit moves by (I − J)⁻¹ ∂f/∂q,
+        so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q.
 
         Args:
             z: coordinates near the orbit, shape (n,).
             p: dimensionless parameter of the map.
-            varied: `varied(i, step)` returns the rig whose i-th parameter is larger by `step`. The derivatives are by
-                the parameters in the unit of `step`, whose value is `STEP`.
+            varied: function `varied(i, step)` that returns the rig whose i-th parameter is larger by `step`, which is
+                `STEP`. The derivatives are by the parameters in the unit of `step`.
             count: number of parameters.
 
         Returns:
@@ -406,9 +404,9 @@ class Stroboscope:
     def _whole(self, z: Real, place: Place) -> Real:
         """Convert the coordinates z to the seven SI state values for `Simulation.set_state`.
 
-        Values that are not coordinates are filled in: displacement and velocity of a prescribed base from its drive. A
-        sphere without impacts gets the position that `seen` found if it slides, and the middle if it does not. Without
-        friction it rests in space (x_2 = v_2 = 0).
+        Values that are not coordinates are filled in. The displacement and velocity of a prescribed base follow from
+        its drive. If the motion has no impacts, the sphere gets an assumed position, and rests in space if its guide
+        has no friction.
         """
         state = np.zeros(7)
         state[self._free] = z * self.scale
@@ -457,10 +455,10 @@ def at(place: Place, over: str, value: float) -> Place:
 
 
 def _longest_flight(motion: Motion, cycles: int) -> float:
-    """Return the phase best suited as a section of a motion, in turns of the drive after the start of `motion`.
+    """Return the phase of the drive that is best suited as a section of a motion, in turns after its start.
 
-    It is the middle of the longest part of the drive cycle in which the sphere touches no wall in any of the cycles; 0
-    if there are no contacts.
+    This phase is the middle of the longest part of the drive cycle in which the sphere touches no wall in any of the
+    cycles. It is 0 if there are no contacts.
     """
     period = float(motion.segments["duration"][0])
     number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), _FINE)
@@ -477,9 +475,9 @@ def _longest_flight(motion: Motion, cycles: int) -> float:
 
 
 def size(place: Place, state: Real) -> Real:
-    """Return the SI size of a motion for each value of `Simulation.state`, shape (7,); coordinates are divided by it.
+    """Return the typical SI size of a motion for each value of `Simulation.state`, shape (7,).
 
-    `state` is one state of the motion, shape (7,); `place` is its rig and drive.
+    The coordinates of a map are divided by it. `state` is one state of the motion, shape (7,).
     """
     omega, half = _TURN * place.frequency_hz, 0.5 * place.config.barriers.gap_m
     x, b = (max(math.hypot(at, rate / omega), 1e-9) for at, rate in (state[0:2], state[2:4]))

@@ -231,11 +231,10 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
 
 
 def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
-    """Return the rate of listed times [1/s], which must be those of an even clock but for rounding and jitter.
+    """Return the rate of evenly spaced times [1/s]; rounding and jitter are allowed.
 
-    Raises:
-        ConfigError: the last time is not after the first, or a time is off the even grid from the first to the last by
-            more than half a period and more than the resolution of the times (`step_of`).
+    ConfigError is raised if the last time is not after the first, or a time is too far from the even grid. Too far
+    means more than half a period and more than the resolution of the times (`step_of`).
     """
     period_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     if not period_s > 0.0:

@@ -18,24 +18,19 @@ response, H the response function from drive to response, and F⁻¹ the inverse
 
     drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_best + g F⁻¹ [(X − Y_best) / H]
 
-`best` is the trial with the smallest error so far. The gain g is 1, halves after each trial that is worse than the best
-one, and doubles after a better one up to 1, because with a sphere the response is not linear. The response may also
-jump where an impact appears, so that no gain helps. When g falls below `LEAST_GAIN`, the next correction starts from
-the latest trial; without bursts (below) the trials end.
+`best` is the trial with the smallest error so far. The gain g is at most 1. It halves after each trial that is worse
+than the best trial, and doubles after a better trial, because with a sphere the response is not linear. If g falls
+below `LEAST_GAIN`, the next correction starts from the latest trial; without bursts (below) the trials end.
 
-A response is the motion, not the reading: the known behaviour of its sensor is corrected (`response.motion`). The error
-is computed at frequencies below `ABOVE` times the upper band edge. Its floor is the error that the sensor's noise there
-and the uncertainty of the sensor's gain can explain.
+A response is the motion, not the reading: the known behaviour of its sensor is corrected (`response.motion`). The floor
+of the error is the error that the noise of the sensor and the uncertainty of its gain can explain.
 
-H is measured first, at the frequency lines of a repeated frame. The frame must be longer than the structure takes to
-stop ringing, since the impulse response of 1 / H is as long at an antiresonance of the base. A trial begins and ends at
-rest and is corrected at the same lines.
+H is measured first, with a frame that must be longer than the structure takes to stop ringing.
 
-Corrections remove only errors that repeat. A sphere that rolls freely never comes to rest. It begins each trial at
-another position, so equal drives give different responses. If equal trials differ by more than noise, each trial begins
-with a burst: a sine at the resonance of the superior base. If the sphere's motion in the burst is regular, it does not
-depend on what preceded it. Not every amplitude gives a regular motion, so bursts are tried until equal trials agree. In
-a burst, neither the peak of the drive nor that of the superior base's motion exceeds its value in the history.
+Corrections remove only errors that repeat. A sphere that rolls freely begins each trial at another position, so equal
+drives give different responses. If equal trials differ by more than noise, each trial begins with a burst: a sine at
+the resonance of the superior base. If the sphere's motion in the burst is regular, it does not depend on what preceded
+the burst. Bursts of several amplitudes are tried until equal trials agree.
 """
 
 from __future__ import annotations
@@ -78,11 +73,11 @@ class ReplicatePlan:
             fades out from there to `low_hz` / 2.
         high_hz: upper edge of that band; the correction fades out from there to `ABOVE` times `high_hz`.
         iterations: maximum number of trials, including the first.
-        enough: rms error over rms of the requested history at or below which the trials end.
+        enough: error at or below which the trials end: rms error over rms of the requested history.
         rest_s: time before and after the history in each trial [s]; its outer half is without drive.
         identify_rms: rms of the drive while the response function is measured [A].
-        identify_s: length of a frame of that measurement minus length of a trial without a burst [s]; four frames are
-            played.
+        identify_s: time by which a frame of that measurement is longer than a trial without a burst [s]; four frames
+            are played.
         burst_s: duration of the burst before each trial [s], at least 1; at most `identify_s` is used. There is a burst
             only if equal trials differ without one.
         response: response that follows the history, one of `Response` except `BASE_ACCELERATION`, which has no sensor.
@@ -139,7 +134,7 @@ class Replicated:
         return slice(self.burst + rest // 4, self.burst + max(1, rest // 2))
 
     def relative(self, rest: Real) -> float:
-        """Return the rms of a difference from the requested history, divided by the rms of that history.
+        """Return the rms of a difference, divided by the rms of the requested history.
 
         Args:
             rest: difference in the unit of the history, such as `reached − linear`, shape (n,).
@@ -160,13 +155,13 @@ def replicate(
 
     Yields:
         After each trial, the best result so far with the errors of all trials. The trials end when the error is small
-        enough or after the maximum number. If no burst of drive precedes each trial (see `ReplicatePlan.burst_s`), they
-        also end when corrections no longer reduce the error.
-        Then the best drive is repeated: the last result differs from the one before only in `repeated`.
+        enough or after the maximum number. Without bursts (see `ReplicatePlan.burst_s`), they also end when corrections
+        no longer reduce the error. Then the best drive is repeated: the last result differs from the one before only in
+        `repeated`.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
-            exceeds `abort` of `hardware`. After an error, call `hardware.output.stop()`.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
+            `hardware`. After an error, call `hardware.output.stop()`.
         ConfigError: `low_hz` and `high_hz` of the plan leave no band below half of the rate.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
@@ -280,8 +275,8 @@ def _fade(count: int, lead: int) -> Real:
 def _burst(plan: ReplicatePlan, rate_hz: int, drive: Real, h: Complex, inverse: Complex) -> Real:
     """Return the drive of the largest burst to play before a trial, with a rest around it [A], shape (n,), n <= m.
 
-    Its peak does not exceed the peak of the history's drive. The peak of the superior base's motion that it causes does
-    not exceed the peak that the history's drive causes.
+    The peak of this drive does not exceed the peak of the history's drive. The same holds for the peak of the superior
+    base's motion that the drive causes.
 
     Args:
         plan: settings.

@@ -14,9 +14,9 @@
 """Random control: adjust a random drive until a response of the rig has the requested power spectral density.
 
 The drive is a sum of sines at the frequency lines of a frame, with given amplitudes and random phases. Successive
-frames are windowed (a half sine) and overlapped by a half, which gives a stationary, nearly Gaussian signal. A loop is
-a measurement over some frames. After each loop the drive's density at each line is corrected towards requested density
-/ |H|². |H|² is the measured density of the response, including distortion, over that of the drive.
+frames are windowed and overlap by a half, which gives a stationary, nearly Gaussian signal. After each measurement over
+some frames (a loop) the density of the drive at each line is corrected towards requested density / |H|². |H|² is the
+measured density of the response, including distortion, over the density of the drive.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class RandomPlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reached:
-    """Result of random control after a loop: spectra, errors, rms of the drive, coherence, kurtosis, clipped samples.
+    """Result of random control after one loop: requested and reached spectrum, errors, and statistics of the drive.
 
     Densities are in unit of the response² / Hz.
     """
@@ -107,22 +107,22 @@ class Reached:
 
     @property
     def error_db(self) -> Real:
-        """Reached over requested density at each line [dB], shape (n,)."""
+        """Error at each frequency line: ratio of reached to requested density [dB], shape (n,)."""
         return np.asarray(10.0 * np.log10(self.reached / self.asked))
 
     @property
     def distortion(self) -> Real:
-        """Density of the part of the response that the drive causes by nonlinearity, shape (n,).
+        """Density of the part of the response that nonlinearity of the rig causes, shape (n,).
 
-        It is the part without coherence, minus the sensor's noise.
+        It is the part of the response that is not coherent with the drive, minus the noise of the sensor.
         """
         return np.maximum((1.0 - self.coherence) * self.reached - self.noise, 0.0)
 
     def share(self, density: Real) -> float:
-        """Return the fraction of the response's mean square within the band that a part of its density contributes.
+        """Return the fraction of the response's mean square within the band that a part of the response contributes.
 
         Args:
-            density: density of the part at the lines, such as `distortion`, shape (n,).
+            density: density of this part at the frequency lines, such as `distortion`, shape (n,).
         """
         return float(np.sum(density) / np.sum(self.reached))
 
@@ -145,11 +145,11 @@ class _Drive:
         self._tail = np.zeros(length // 2)
 
     def samples(self, amplitude: Real, frames: int) -> Real:
-        """Return the next samples of the drive, shape (frames · (length // 2),): each frame adds half of its length.
+        """Return the next samples of the drive [A], shape (frames · (length // 2),).
 
         Args:
             amplitude: peak amplitude at each frequency line of a frame [A], shape (length // 2 + 1,).
-            frames: number of new frames, each of which overlaps with the one before by a half.
+            frames: number of new frames. Each overlaps the frame before by a half, so it adds half of its length.
         """
         half = self._length // 2
         out = np.empty(frames * half)

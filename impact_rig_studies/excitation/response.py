@@ -13,15 +13,14 @@
 # limitations under the License.
 """Measurement of a frequency response (`measure`), and the responses that excitation tests control (`Response`).
 
-The rig is driven by frames of noise or chirps (`signals.Excitation`), and the frequency response becomes more accurate
-with each frame. A burst of noise fills the first part of a frame, and the response decays before the frame ends. A
-pseudo-random frame or a chirp is repeated. In both cases there is no leakage, so no window is needed. For a rig with
-its sphere, the result is the best
-linear approximation at this level of excitation: a coherence below 1 is caused by noise and distortion (Pintelon &
-Schoukens 2012, System Identification, chapter 4).
+The rig is driven by frames of noise or chirps (`signals.Excitation`). Each further frame makes the frequency response
+more accurate. A burst of noise decays before its frame ends, and other frames are repeated. So there is no leakage, and
+no window is needed. For a rig with its sphere, the result is the best linear approximation at this level of excitation.
+A coherence below 1 is then caused by noise and distortion (Pintelon & Schoukens 2012, System Identification, chapter
+4).
 
-Every response is the motion, not the reading: lag, skew, high-pass and order of derivative of its sensor are corrected
-by the sensor's calibration (`motion`).
+Every response is the motion of the rig, not the reading of the sensor: `motion` corrects the reading by the sensor's
+calibration.
 """
 
 from __future__ import annotations
@@ -51,10 +50,7 @@ class Response(enum.StrEnum):
 
     @property
     def channel(self) -> str:
-        """Name of the channel of `daq/scan` from which this response is computed.
-
-        For the acceleration of the inferior base it is `base`; only its spectra are converted, by `weight`.
-        """
+        """Name of the channel of `daq/scan` from which this response is computed."""
         return {"superior": "laser", "superior_acceleration": "accelerometer"}.get(self, "base")
 
     @property
@@ -70,8 +66,8 @@ class Response(enum.StrEnum):
     def of(self, rows: NDArray[np.void], calibration: Calibration, top_hz: float) -> Real:
         """Return the motion that the channel of this response measured, corrected as in `motion`, shape (n,).
 
-        It is in `unit`, except that `BASE_ACCELERATION` gives the displacement [m]: only spectra are converted to an
-        acceleration, by `weight`.
+        The unit is `unit`, with one exception: `BASE_ACCELERATION` gives the displacement [m], because only its spectra
+        are converted to an acceleration (`weight`).
 
         Args:
             rows: consecutive rows of `daq/scan`, shape (n,).
@@ -81,13 +77,14 @@ class Response(enum.StrEnum):
         return motion(rows[self.channel].astype(float), calibration, self.channel_index, top_hz)
 
     def weight(self, calibration: Calibration, frequency_hz: Real) -> Real:
-        """Return the factor by which the power spectral density of the channel's reading becomes that of this response.
+        """Return the factors that convert the power spectral density of the channel's reading to that of this response.
 
-        It divides out the response of the sensor. For `BASE_ACCELERATION` it also turns displacement into acceleration.
+        The factor removes the frequency response of the sensor. For `BASE_ACCELERATION` it also turns displacement into
+        acceleration.
 
         Args:
             calibration: calibration of the sensors.
-            frequency_hz: frequencies, shape (n,), > 0; the factor has the same shape.
+            frequency_hz: frequencies, shape (n,), > 0; the factors have the same shape.
         """
         power = 4 if self is Response.BASE_ACCELERATION else 0
         seen = np.abs(calibration.response(self.channel_index, frequency_hz))
@@ -106,12 +103,12 @@ class Response(enum.StrEnum):
         return np.asarray(self.weight(calibration, frequency_hz) * white)
 
     def noises(self, calibration: Calibration, length: int, count: int, top_hz: float) -> Real:
-        """Return simulated records of the motion that the sensor indicates on a rig at rest because of its noise.
+        """Return simulated records of the apparent motion that the sensor's noise alone causes on a rig at rest.
 
         Args:
             calibration: calibration of the sensors.
             length: number of samples of a record.
-            count: number of records; they are the same in each call.
+            count: number of records; each call returns the same records.
             top_hz: upper edge of the band, see `motion`.
 
         Returns:
@@ -122,7 +119,9 @@ class Response(enum.StrEnum):
 
 
 def _white_rms(calibration: Calibration, channel: int) -> float:
-    """Return the rms of white noise up to half of the scan rate with the density of a channel's noise near 0 Hz.
+    """Return the rms of white noise that has the same density as a channel's noise near 0 Hz.
+
+    The white noise extends up to half of the scan rate.
 
     Args:
         calibration: calibration of the sensors.
@@ -137,16 +136,17 @@ FADE = 0.8  # fraction of the upper band edge from which components are attenuat
 def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) -> Real:
     """Return the motion that a sensor measured: its reading, corrected for lag, skew and high-pass of the sensor.
 
-    For the channels of the bases it is the displacement [m]: the reading of a sensor of velocity or acceleration is
-    integrated. For the channel "accelerometer" it is the acceleration [m/s²]. The result is limited to frequencies up
-    to an edge, because the correction amplifies noise.
+    For the channels of the bases the motion is the displacement [m]: the reading of a sensor of velocity or
+    acceleration is integrated. For the channel "accelerometer" the motion is the acceleration [m/s²]. Frequencies above
+    `top_hz` are removed, because the correction amplifies noise.
 
     Args:
         values: contiguous readings of a channel, which begin and end at rest, shape (n,).
         calibration: calibration of the sensors.
         channel: index of the channel in `scans.CHANNELS`.
-        top_hz: upper edge of the band; components fade out from `FADE` times it to zero at it. If it is half of the
-            scan rate or more, none are removed, except the mean for a sensor with a high-pass.
+        top_hz: upper edge of the band. Components fade out from `FADE` · `top_hz`, and are zero above `top_hz`. If
+            `top_hz` is at least half of the scan rate, no high frequencies are removed. The mean of a sensor with a
+            high-pass is always removed.
     """
     frequency: Real = np.asarray(np.fft.rfftfreq(len(values), 1.0 / calibration.rate_hz), np.float64)
     edge = np.ones(len(frequency))
@@ -161,10 +161,10 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) 
 
 
 def complete(scans: NDArray[np.void], count: int) -> NDArray[np.void]:
-    """Return the scans of a test unchanged, after a check that none of the `count` expected ones was lost.
+    """Return the scans of a test unchanged, after a check that all `count` expected scans are there.
 
     Raises:
-        CommandError: scans were lost, so that the rest no longer belongs to the samples that were played.
+        CommandError: scans were lost, so the other scans no longer belong to the samples that were played.
     """
     if len(scans) < count:
         raise CommandError(
@@ -177,9 +177,9 @@ def complete(scans: NDArray[np.void], count: int) -> NDArray[np.void]:
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
     """Measure the frequency response of one channel relative to another while driving the rig with an excitation.
 
-    Lag, skew and high-pass of the sensors are corrected by their calibration. The channels of the bases count as
-    displacements, also if their sensors measure velocity or acceleration. The uncertainty `u_relative` includes that of
-    the sensors' gains.
+    The calibration of the sensors corrects their lag, skew and high-pass. The channels of the bases count as
+    displacements, also if their sensors measure velocity or acceleration. The uncertainty `u_relative` includes the
+    uncertainty of the sensors' gains.
 
     Args:
         hardware: output and acquisition, with equal rates.
@@ -188,8 +188,9 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
         reference: name of the channel of the reference (denominator).
 
     Yields:
-        The frequency response from all measured frames so far, after each frame from the third on. The drive is stopped
-        after the last one. After an error, or if you do not iterate to the end, call `hardware.output.stop()`.
+        The frequency response from all frames measured so far. The first result follows after three frames, then one
+        after each frame. The drive is stopped after the last one. After an error, or if you do not iterate to the end,
+        call `hardware.output.stop()`.
 
     Raises:
         ConfigError: the band of the excitation is not ascending, or not below half of the sample rate.

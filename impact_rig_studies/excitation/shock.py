@@ -17,10 +17,10 @@ A half sine of acceleration alone would leave the base with a permanent velocity
 sign, one before and one after the half sine, bring velocity and displacement back to zero. Each has the shape of a
 squared half sine.
 
-The shock response spectrum is, for each natural frequency, the largest absolute acceleration of a single degree of
-freedom whose base has the acceleration a. Its relative displacement x obeys x'' + 2ζω x' + ω² x = −a, and its absolute
-acceleration is x'' + a. It is computed by the ramp-invariant filter (Smallwood 1981, Shock and Vibration Bulletin 51,
-279–287), which is exact for an acceleration that is linear between its samples.
+The shock response spectrum states, for each natural frequency, the largest absolute acceleration of a one-mass
+oscillator whose base has the acceleration a. The relative displacement x of the mass obeys x'' + 2ζω x' + ω² x = −a,
+and its absolute acceleration is x'' + a. The spectrum is computed by the ramp-invariant filter (Smallwood 1981, Shock
+and Vibration Bulletin 51, 279–287), which is exact for an acceleration that is linear between its samples.
 """
 
 from __future__ import annotations
@@ -50,15 +50,12 @@ class Pulse:
     """Duration of each of the two compensating pulses, one before and one after the half sine."""
 
     def acceleration(self, rate_hz: int) -> Real:
-        """Return the acceleration of the whole shock with its compensation [m/s²], shape (n,).
+        """Return the acceleration of the whole shock, including both compensating pulses [m/s²], shape (n,).
 
-        The sum of its samples and the sum of its running sum are zero, so velocity and displacement end at zero.
+        Velocity and displacement are zero at the end.
 
         Args:
             rate_hz: number of samples per second.
-
-        Raises:
-            ConfigError: the half sine or a compensating pulse has fewer than `SHORTEST` samples.
         """
         on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
         if min(on, beside) < SHORTEST:
@@ -118,7 +115,7 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
     """Return the undamped shock response spectrum of an ideal half sine of acceleration, in closed form.
 
     With r = 2 f τ, the largest response after the pulse is 2 r |cos(π r / 2)| / |1 − r²| times the peak. Where r > 1,
-    an extreme within the pulse may be larger (Harris & Piersol 2002, Shock and Vibration Handbook, chapter 8).
+    the response during the pulse may be larger (Harris & Piersol 2002, Shock and Vibration Handbook, chapter 8).
 
     Args:
         peak: largest acceleration of the pulse [m/s²].
@@ -146,11 +143,10 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
 
 @attrs.frozen(eq=False, kw_only=True)
 class Shocked:
-    """Result of a shock test after a trial: requested shock, and the best shock of the inferior base so far.
+    """Result of a shock test after a trial: the requested shock, and the best shock of the inferior base so far.
 
-    The base's motion is measured by its displacement sensor. Each error has a floor: an error that is not larger may be
-    caused by this sensor alone. The floor is the largest error among `DRAWS` simulated records of the sensor's noise,
-    plus the effect of twice the standard uncertainty of the sensor's gain.
+    The displacement sensor measures the base's motion. Each error of the shock has a floor in `floors`. An error up to
+    its floor may be caused by the sensor alone, by its noise and the uncertainty of its gain.
     """
 
     followed: Replicated  # result of replicating the displacement, which contains the drive
@@ -176,7 +172,7 @@ The filter is needed because the noise of a differentiated displacement increase
 
 
 def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[Real, Real]:
-    """Return velocity [m/s] and acceleration [m/s²] of a displacement, shape (n,) each.
+    """Return velocity [m/s] and acceleration [m/s²] of a displacement after a low-pass filter, shape (n,) each.
 
     The displacement must begin and end at zero, at rest.
 
@@ -198,7 +194,7 @@ def shock(hardware: Hardware, pulse: Pulse, on_step: Callable[[str], object] = l
 
     Args:
         hardware: output and acquisition, with equal rates.
-        pulse: requested shock; its displacement is replicated from 0 Hz up to `CORNER` / duration of the half sine.
+        pulse: requested shock. Its displacement is replicated from 0 Hz up to `CORNER` / `pulse.duration_s`.
         on_step: receives a description of each step before the first trial, for the user.
 
     Yields:

@@ -34,9 +34,9 @@ SHORTEST = 4  # minimum number of samples of a frame, or of the burst in it
 class Excitation:
     """Excitation signal for the measurement of a frequency response: frames of noise or chirps within a band.
 
-    With the kind `burst_random` each frame has a new burst of noise, followed by silence. With `pseudo_random` one
-    frame of noise is repeated, with `chirp` one chirp from the lower to the upper edge of the band. Each kind has the
-    level `rms` while it is on; the silence of a burst frame does not count.
+    With the kind `burst_random`, each frame has a new burst of noise, followed by silence. With `pseudo_random`, one
+    frame of noise is repeated. With `chirp`, one sweep from `low_hz` to `high_hz` is repeated. The signal has the level
+    `rms`; for a burst the silence does not count.
     """
 
     kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # kind of signal, one of `KINDS`
@@ -53,14 +53,13 @@ class Excitation:
     def samples(self, rate_hz: int) -> Real:
         """Return the samples of all frames one after the other [A], shape (n,).
 
-        A repeated frame (`pseudo_random`, `chirp`) is contained once more, as a run-in before the measured ones.
+        With `pseudo_random` and `chirp` there is one additional frame at the beginning, as a run-in.
 
         Args:
             rate_hz: number of samples per second.
 
         Raises:
-            ConfigError: the upper edge of the band is not below half of the rate, or not above the lower edge. Or a
-                frame, or the burst in it, is too short for the rate and the band.
+            ConfigError: the upper edge of the band is not below half of the rate, or not above the lower edge.
             BudgetError: there would be more than `MOST_SAMPLES` samples.
         """
         import numpy as np  # noqa: PLC0415  # the help of commands needs the settings alone

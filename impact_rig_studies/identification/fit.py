@@ -13,17 +13,17 @@
 # limitations under the License.
 """Least-squares fit of the rig's constants to measurements: `identify` returns their values with uncertainties.
 
-Without the sphere the model is a closed form; with it, the mechanics are simulated. X_1 and X_b are the complex
-displacement amplitudes of the superior and the inferior base, I is that of the current, T = X_1 / X_b and DT = |T|.
-The data and their models are:
+X_1 and X_b are the complex displacement amplitudes of the superior and the inferior base. I is the complex amplitude of
+the current, T = X_1 / X_b, and DT = |T|. The measured quantities and their models are:
 
     ln f_n, ln ζ                  measured by the free decay
     ln DT, phase of T             closed form T(f; f_n, ζ)
     ln |X_b / I|                  closed form K_f / |k_f − M ω² + iω c_f − m_1 ω² T|
     ln (DT with / DT without)     simulation with the configured contact law, e free about its nominal value
 
-Without the sphere, a common factor of all masses and forces changes no motion, so the data determine m_1 only as a
-ratio to other constants. With the sphere, whose mass is known, the reductions determine the mass of the structure.
+"With" and "without" refer to the sphere. Without the sphere, a common factor of all masses and forces changes no
+motion, so the data determine m_1 only as a ratio to other constants. With the sphere, whose mass is known, the
+reductions of DT determine the mass of the structure.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ START = np.log([9.0, 0.005, 0.2, 6.0, 8000.0, 2.5, 60.0])
 
 
 def logarithms(config: RigConfig) -> Real:
-    """Return the natural logarithms of the identified constants of a rig, in the order of `NAMES`, shape (7,)."""
+    """Return the natural logarithms of the constants of a rig, in the order of `NAMES`, shape (7,)."""
     structure, shaker = config.structure, config.shaker
     return np.log([
         structure.natural_frequency_hz, structure.damping_ratio, structure.mass_kg, shaker.force_factor_n_a,
@@ -76,9 +76,10 @@ def logarithms(config: RigConfig) -> Real:
 
 
 def rig(base: RigConfig, log_constants: Real) -> RigConfig:
-    """Return the configuration `base` with other values of the constants, given as logarithms in the order of `NAMES`.
+    """Return the configuration `base` with other values of the identified constants.
 
-    The moving mass M is divided between armature and inferior base in the ratio of `base`.
+    `log_constants` contains the natural logarithms of the new values, in the order of `NAMES`. The moving mass M is
+    divided between armature and inferior base in the ratio that `base` has.
 
     Raises:
         ConfigError: a constant is out of its range.
@@ -127,7 +128,7 @@ class Combination:
 
 @attrs.frozen(eq=False)
 class Information:
-    """Accuracy to which data determine parameters: each of them alone, and combinations of them."""
+    """Accuracy to which data determine parameters: each parameter alone, and combinations of parameters."""
 
     names: tuple[str, ...]  # names of the parameters
     combinations: tuple[Combination, ...]  # uncorrelated combinations, as many as parameters, the best determined first
@@ -145,10 +146,10 @@ def information(names: Sequence[str], jacobian: Real, nuisances: Real | None = N
 
     Args:
         names: names of the n parameters.
-        jacobian: derivatives d residual / d ln parameter, shape (m, n); residuals are in units of their standard
-            uncertainties.
-        nuisances: derivatives of the same residuals by k nuisance parameters, shape (m, k), or None. What is known of
-            these beforehand must be among the m residuals.
+        jacobian: derivatives d residual / d ln parameter, shape (m, n). Each residual is divided by its standard
+            uncertainty.
+        nuisances: derivatives of the same residuals by k nuisance parameters, shape (m, k), or None. Prior knowledge of
+            the nuisance parameters must be contained in the m residuals.
     """
     matrix = np.asarray(jacobian, float)
     if nuisances is not None and nuisances.shape[1]:
@@ -202,9 +203,9 @@ LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # range of a fitted e
 
 @attrs.frozen(eq=False)
 class Alternative:
-    """Set of constants that explains the data, out of several clearly different ones, with its probability.
+    """Set of constants that explains the data, one of several clearly different sets, with its probability.
 
-    The probabilities may add up to less than 1, because improbable sets are left out.
+    The probabilities of all sets may add up to less than 1, because improbable sets are left out.
     """
 
     share: float  # probability of this explanation, between 0 and 1
@@ -243,7 +244,7 @@ class Identified:
 
     @property
     def chance(self) -> float:
-        """Probability that random errors alone make χ² as large or larger (its p-value); 1 if `freedom` is not > 0."""
+        """Probability that random errors alone make χ² at least this large (p-value); 1 if `freedom` is not > 0."""
         return float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
 
     @property
@@ -273,8 +274,8 @@ def identify(
 ) -> Identified:
     """Fit the constants of the rig (`NAMES`) to measurements by least squares.
 
-    If `measured` contains reductions of DT by the sphere, the nominal coefficient of restitution e is fitted as well,
-    unless its standard uncertainty `measured.u_restitution` is 0.
+    If `measured` contains reductions of DT by the sphere, the nominal coefficient of restitution e is fitted as well.
+    It is not fitted if its standard uncertainty `measured.u_restitution` is 0.
 
     Args:
         measured: the measurements.
@@ -284,10 +285,9 @@ def identify(
         on_step: receives a description of each step for the user.
 
     Raises:
-        ConfigError: `measured` contains no data, or a constant leaves its range before the fit with the sphere
-            begins.
-        SimulationError: with every start of the fit, the sphere's motion cannot be simulated at some measured gap, or a
-            constant leaves its range.
+        ConfigError: `measured` contains no data, or a constant leaves its range before the fit with the sphere begins.
+        SimulationError: no start of the fit with the sphere leads to a result, because the sphere's motion at a
+            measured gap cannot be simulated, or a constant leaves its range.
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError(
@@ -313,10 +313,10 @@ def identify(
 
 
 def _with_estimates(measured: Measured, start: Real) -> Real:
-    """Return `start` with f_n and ζ replaced by estimates, because far from their true values the fit diverges.
+    """Return `start` with f_n and ζ replaced by estimates from the measurements.
 
-    The estimates are those of the free decay, or without one of the peak of DT in the stepped sine. If neither was
-    measured, `start` is returned unchanged.
+    `start` contains log constants in the order of `NAMES`. The estimates are taken from the free decay. Without a free
+    decay they are taken from the peak of DT in the stepped sine. Without both, f_n and ζ are unchanged.
     """
     theta = start.copy()
     if measured.decay is not None:
@@ -330,22 +330,22 @@ def _with_estimates(measured: Measured, start: Real) -> Real:
 def _damping(bent: Real) -> Real:
     """Return additional rows for the matrix of derivatives, which keep undetermined constants near their values.
 
-    Their shape is (7, 7 + k), for 7 constants and k nuisance parameters. Only k is taken from `bent`, the derivatives
-    of the residuals by the nuisance parameters, shape (m, k).
+    The shape is (7, 7 + k), for 7 constants and k nuisance parameters. `bent` has the shape (m, k); its values do not
+    matter.
     """
     return np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
 
 
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
-    """Return the next Gauss-Newton step of a fit: the changes of the log constants, and of the nuisance parameters.
+    """Return the next Gauss-Newton step of a fit: changes of the log constants, and of the nuisance parameters.
 
-    The step is damped along directions that the data hardly determine, and zero along those on which they contain
-    nothing. It is shortened so that no value changes by more than `LARGEST_STEP`.
+    Constants that the data hardly determine change little. The step is shortened so that no value changes by more than
+    `LARGEST_STEP`.
 
     Args:
         residual: whitened residuals, shape (m,).
-        jacobian: their derivatives by the log constants, shape (m, 7).
-        bent: their derivatives by the nuisance parameters, shape (m, 6).
+        jacobian: derivatives of the residuals by the log constants, shape (m, 7).
+        bent: derivatives of the residuals by the nuisance parameters, shape (m, 6).
     """
     damped = _damping(bent)
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
@@ -401,17 +401,16 @@ class _Held:
     def cost(self) -> float:
         """−2 ln of the probability of this e, up to a constant that is the same for every e.
 
-        The probability is the integral of the likelihood over constants and nuisance parameters, for which the
-        likelihood is approximated by a normal distribution. A large uncertainty of a simulated motion makes this
-        distribution lower, but wider.
+        The probability is the likelihood, integrated over the constants and nuisance parameters. For the integral, the
+        likelihood is approximated by a normal distribution.
         """
         whole = np.concatenate([np.concatenate([self.jacobian, self.bent], axis=1), _damping(self.bent)])
         return self.misfit + 2.0 * float(np.log(np.abs(np.diag(np.linalg.qr(whole, mode="r")))).sum())
 
     def covariance(self) -> Real:
-        """Return the covariance matrix of the log constants at this fixed e with free nuisance parameters, (7, 7).
+        """Return the covariance matrix of the log constants at this fixed e, nuisance parameters free; shape (7, 7).
 
-        Along directions that the data do not determine, the variance in it is 0.
+        Along directions that the data do not determine, the variance is 0.
         """
         basis, _ = np.linalg.qr(self.bent)
         matrix = self.jacobian - basis @ (basis.T @ self.jacobian)
@@ -420,10 +419,9 @@ class _Held:
         return np.asarray(inverse @ inverse.T)
 
     def proposal(self) -> tuple[float, float]:
-        """Estimate the e with the smallest χ², and return it with its standard uncertainty.
+        """Estimate the e with the smallest χ², and return this e and its standard uncertainty.
 
-        The residuals are extrapolated linearly from this fit, with constants and nuisance parameters free. They include
-        the prior of e, so the uncertainty is finite also if the data contain nothing on e.
+        The residuals are extrapolated linearly from this fit, while constants and nuisance parameters adapt.
         """
         others = np.concatenate([self.jacobian, self.bent], axis=1)
         size = np.maximum(np.linalg.norm(others, axis=0), 1e-30)
@@ -437,7 +435,7 @@ class _Held:
 def _with_reductions(
     measured: Measured, known: RigConfig, theta: Real, nuisance: Real, on_step: Callable[[str], None]
 ) -> Identified:
-    """Fit constants and e to all data including the reductions of DT by the sphere, as a part of `identify`.
+    """Fit constants and e to all data, including the reductions of DT by the sphere.
 
     The fit starts at the log constants `theta` and the nuisance parameters `nuisance`, which fit the data without the
     sphere.
@@ -467,7 +465,7 @@ def _with_reductions(
 
 
 class _Profile:
-    """Computation of the profile of χ² over e: the best fit of the constants at each of many fixed values of e."""
+    """Profile of χ² over e: the best fit of the constants at each of many fixed values of e."""
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
@@ -477,11 +475,10 @@ class _Profile:
         self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real, float]]] = {}
 
     def factors(self, theta: Real) -> list[Real]:
-        """Return starts for the fits: the log constants `theta` with all forces and masses scaled by a common factor.
+        """Return up to `TRIED` starts for the fits: `theta` with all forces and masses scaled by a common factor.
 
-        Of the factors whose logarithms are in `FACTORS`, those are used at which the simulated and measured ratios (DT
-        with the sphere / DT without it, at each gap) agree best. These are local minima of the misfit, at most `TRIED`,
-        and none that is worse than the best one by more than `WORSE`.
+        `theta` contains the log constants. The factors are those with which simulated and measured ratios (DT with the
+        sphere / DT without) agree best. Factors with a much larger misfit than the best factor are left out (`WORSE`).
         """
         misfits = []
         for factor in FACTORS:
@@ -501,12 +498,12 @@ class _Profile:
     def run(self, starts: Sequence[Real], nuisance: Real, on_step: Callable[[str], None]) -> list[_Held]:
         """Fit the constants at many fixed values of e, and return the best fit at each, in ascending order of e.
 
-        If e is exactly known, there is only the fit at this e. Each fit starts at one of `starts` (log constants, with
-        the nuisance parameters `nuisance`) or at the fit at a neighbouring e.
+        If e is exactly known, only the fit at this e is returned. `starts` contains the log constants of the first
+        fits, `nuisance` their nuisance parameters. Each further fit starts at the result at a neighbouring e.
 
         Raises:
-            SimulationError: with every start, the motion cannot be simulated at some measured gap, or a constant leaves
-                its range.
+            SimulationError: every start fails, because the motion at a measured gap cannot be simulated, or a constant
+                leaves its range.
         """
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
@@ -535,10 +532,10 @@ class _Profile:
         return [held[e] for e in sorted(held)]
 
     def _descend(self, held: dict[float, _Held], here: _Held) -> None:
-        """Add to `held` fits at values of e that approach the minimum of χ² near the fit `here`.
+        """Add fits at values of e that approach the minimum of χ² near the fit `here`.
 
-        `held` contains the fits by their e. The search ends after `PROPOSED` fits, or if the next e would be out of
-        range or close to one in `held`. It also ends if the fit there fails or is worse, which is then not added.
+        The fits are added to `held`, by their e. The search ends after at most `PROPOSED` fits. It ends earlier if the
+        next e is out of range, is close to an e in `held`, or gives no better fit.
         """
         for _ in range(PROPOSED):
             e, u = here.proposal()
@@ -552,9 +549,10 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Add to `held` (fits by their e) a fit in the middle of the interval where the probability changes most.
+        """Add a fit in the middle of the interval of e in which the probability changes most.
 
-        Returns True if a fit was added, and False if that change is small enough (`KNOWN`) or the fit has failed.
+        The fit is added to `held`, which contains the fits by their e. Returns True if a fit was added. Returns False
+        if the change of the probability is small enough (`KNOWN`) or the fit has failed.
         """
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])
@@ -582,15 +580,19 @@ class _Profile:
             held[new.e] = new
 
     def _place(self, gap_m: float, theta: Real, gain: float, e: float) -> Place:
-        """Return the rig at a measured gap, driven by the measured current, corrected for its relative error `gain`."""
+        """Return the rig at a measured gap, driven by the measured current.
+
+        `theta` contains the log constants, and `e` is the nominal coefficient of restitution. The current is corrected
+        for `gain`, the relative error of the current sensor.
+        """
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
         return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 
     def _fit(self, e: float, theta: Real, nuisance: Real) -> _Held | None:
-        """Fit the constants to all data at a fixed e, from the log constants `theta` and the nuisance parameters.
+        """Fit the constants to all data at a fixed e, starting at log constants `theta` and nuisance parameters.
 
-        Returns None if a motion on the way cannot be simulated, or a constant leaves its range. A fit that has not
-        converged after `ROUNDS` steps is returned, too.
+        Returns None if a motion cannot be simulated, or a constant leaves its range. After `ROUNDS` steps the last
+        state is returned, even if the fit has not converged.
         """
         try:
             here = self._at(e, theta, nuisance)
@@ -610,9 +612,9 @@ class _Profile:
         return here
 
     def _at(self, e: float, theta: Real, nuisance: Real) -> _Held:
-        """Return residuals of all data and their derivatives at given values, for which all gaps are simulated.
+        """Compute the residuals of all data and their derivatives at given e, constants and nuisance parameters.
 
-        The result is marked as not converged, because nothing is fitted.
+        The motion at each gap is simulated. Nothing is fitted, so the result is marked as not converged.
         """
         residual, jacobian, bent = _linear(self._measured, self._known, theta, nuisance)
         rows, by_constants, by_nuisances, by_e = [], [], [], []
@@ -643,10 +645,9 @@ class _Profile:
     def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real, float]:
         """Simulate the settled motion at a gap; return it, the derivatives of its `log_ratio`, and their roughness.
 
-        The derivatives are those by the log constants and, last, by e; for the roughness see `SettledRig.slopes`. Both
-        take most of the time, so they are reused for later motions at this gap with nearly the same e and mass m_1.
-        These must have the same period and number of impacts, or be irregular like the first one. `gain` is the
-        relative error of the measured current.
+        The derivatives are those by the log constants and, last, by e. `SettledRig.slopes` explains the roughness.
+        `gain` is the relative error of the measured current. Derivatives and roughness are reused for a similar motion
+        at the same gap with nearly the same e and m_1, because they take most of the time.
         """
         force = NAMES.index("K_f")
         here = SettledRig(self._place(gap_m, theta, gain, e))
@@ -669,10 +670,10 @@ class _Profile:
 
 
 def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:
-    """Return mean and covariance of the 8 values (log constants, e) over a profile of fits, weighted by probability.
+    """Return mean and covariance of the log constants and e (8 values), averaged over fits at many fixed values of e.
 
-    The third result contains the separate explanations of the data, the most probable first. It is empty if they do not
-    differ clearly, or there is only one.
+    Each e is weighted by its probability. The third result contains clearly different explanations of the data, the
+    most probable first. It is empty if there is only one explanation.
     """
     e = np.array([one.e for one in held])
     theta, within = np.array([one.theta for one in held]), np.array([one.covariance() for one in held])
@@ -706,9 +707,10 @@ def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]
 
 
 def _differ(found: Sequence[Alternative]) -> bool:
-    """Return whether any two explanations differ in a constant by more than `APART` times the sum of uncertainties.
+    """Return whether any two explanations differ clearly in a constant.
 
-    Their values of e are not compared.
+    They differ clearly if the difference exceeds `APART` times the sum of both uncertainties. Values of e are not
+    compared.
     """
     return any(
         bool(np.any(np.abs(one.log_constants - other.log_constants) > APART * (one.u_relative + other.u_relative)))
@@ -717,7 +719,7 @@ def _differ(found: Sequence[Alternative]) -> bool:
 
 
 def _parts(density: Real) -> Iterator[slice]:
-    """Yield adjoining ranges of a tabulated probability density with one separate peak each.
+    """Yield adjoining index ranges of a tabulated probability density, each with one separate peak.
 
     Two peaks are separate if the density between them falls below `SEPARATE` times the lower peak.
     """
@@ -729,10 +731,10 @@ def _parts(density: Real) -> Iterator[slice]:
 
 
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
-    """Return the whitened residuals of the data without the sphere and of the nuisance parameters' prior knowledge.
+    """Return the whitened residuals of the data without the sphere, and their derivatives.
 
-    The second and third results are their derivatives by the log constants `theta` (`NAMES`) and by the nuisance
-    parameters (`NUISANCES`). The shapes are (m,), (m, 7) and (m, 6).
+    The results are residuals (m,), derivatives by the log constants `theta` (m, 7), and derivatives by the nuisance
+    parameters (m, 6). The last residuals are those of the prior knowledge of the nuisance parameters (`NUISANCES`).
     """
     residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains
@@ -773,7 +775,7 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
 
 
 def _apart(one: Real, other: Real) -> Real:
-    """Return the difference of two results of `_model`, shape (3, n); that of the phases is brought within ±π."""
+    """Return the difference of two results of `_model`, shape (3, n); phase differences are wrapped to ±π."""
     difference = one - other
     difference[2] -= 2.0 * math.pi * np.round(difference[2] / (2.0 * math.pi))
     return difference
@@ -782,8 +784,8 @@ def _apart(one: Real, other: Real) -> Real:
 def _prior(measured: Measured) -> Real:
     """Return the standard uncertainty of each parameter in `NUISANCES` before the fit, shape (6,).
 
-    Those of the sensors come from their certificate, that of DT without sphere from the noise of its measurement. The
-    latter is 0 without reductions. A parameter with an uncertainty of 0 counts as exactly 0.
+    The uncertainties of the sensors come from their certificate. That of DT without the sphere comes from the noise of
+    its measurement, and is 0 without reductions. A parameter with an uncertainty of 0 counts as exactly 0.
     """
     without = measured.reduced.u_without if measured.reduced else 0.0
     return np.array([*measured.gains.u, without])

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements in the form in which `fit.identify` uses them: with noise separated from errors of calibration.
+"""Measurements in the form in which `fit.identify` uses them: noise is separated from calibration errors.
 
-Errors of calibration are common to all points: each sensor has one relative error of its gain, and laser and base
-sensor also one nonlinearity (curve), see `analysis.calibration`. The fit treats them as nuisance parameters (unknowns
-of no interest) with the standard uncertainties of the certificate. The remaining deviation of each point is noise.
+Calibration errors are common to all points. Each sensor has one relative error of its gain. The laser and the base
+sensor also have one nonlinearity (curve) each, see `analysis.calibration`. The fit treats these errors as nuisance
+parameters (unknowns of no interest) with the standard uncertainties of the certificate. The remaining deviation of each
+point is noise.
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ GAIN_CURRENT = NUISANCES.index("gain current")
 
 @attrs.frozen(eq=False)
 class SineData:
-    """Amplitudes and phases of a stepped sine without the sphere at n points.
+    """Amplitudes and phases of n points of a stepped sine without the sphere.
 
-    x_1 and x_b are the displacements of superior and inferior base.
+    x_1 is the displacement of the superior base, x_b that of the inferior base.
     """
 
     frequency_hz: Real  # drive frequency of each point, shape (n,), as all other fields
@@ -75,7 +76,10 @@ class SineData:
 
 @attrs.frozen(eq=False)
 class Reduced:
-    """Measured ratios of the transmissibility DT with the sphere to that without it, at one frequency and n gaps."""
+    """Measured ratios of DT with the sphere to DT without the sphere, at one frequency and n gaps.
+
+    DT is the transmissibility, the ratio of the amplitudes of superior and inferior base.
+    """
 
     frequency_hz: float  # drive frequency
     current_a: Mapping[float, float]  # measured amplitude of the current with the sphere [A peak], by gap [m]
@@ -117,12 +121,13 @@ class Gains:
     def relative(self, channel: int, amplitude: Real, frequency_hz: Real | float) -> Real:
         """Return how much each relative error in `NUISANCES` changes a measured amplitude: d ln(amplitude) / d error.
 
-        It is 1 for the gain of the channel, depends on the amplitude for its curve, and is 0 for all others.
+        The derivative is 1 for the gain of the channel, and depends on the amplitude for the curve of the channel. It
+        is 0 for all other errors.
 
         Args:
             channel: index of the channel, `LASER`, `BASE` or `CURRENT`.
             amplitude: amplitudes of a sinusoidal displacement [m], shape (n,); for the current only the shape is used.
-            frequency_hz: frequency, or one for each amplitude.
+            frequency_hz: frequency of all amplitudes, or one frequency for each amplitude.
 
         Returns:
             Derivatives in the order of `NUISANCES`, shape (n, 6).
@@ -142,10 +147,11 @@ def _half_range(calibration: Calibration, channel: int) -> float:
 
 
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
-    """Return the points of a frequency curve without the sphere as `SineData`, each the mean of its measurements.
+    """Return the points of a frequency curve without the sphere as `SineData`.
 
-    Only the phase is that of the first measurement. All `points` are used, so they must be settled. The uncertainties
-    of the amplitudes are those of noise alone: the part of the calibration errors `gains` is left out.
+    All `points` are used, so they must be settled. A point with several measurements gives their mean, except for the
+    phase, which is that of the first measurement. The uncertainties are those of noise alone, without the calibration
+    errors `gains`.
     """
     first = np.concatenate([point.rows[:1] for point in points])
     return SineData(
@@ -161,13 +167,12 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios of DT with the sphere to DT without it, at one frequency, for the gaps that have a result.
+    """Return the measured ratios of DT with the sphere to DT without it, at one frequency, for the gaps `gaps_m`.
 
-    Only points whose gap is exactly one of `gaps_m` are used. Points at which the sphere did not strike
-    (`Point.impacts`) are left out, as they contain no information on it. If impacts were not counted, for lack of an
-    accelerometer, the point is used. The ratios are not corrected for `gains`, the calibration errors of the sensors;
-    `effects` states how each acts on them. The result is None if DT without the sphere was not measured at this
-    frequency, or if no point with the sphere remains.
+    Gaps without a measured point are left out. Points at which no impact was counted are also left out; points without
+    a count of impacts are used. The ratios are not corrected for the calibration errors `gains`; `Reduced.effects`
+    states the effect of each error. The result is None if DT without the sphere was not measured at this frequency, or
+    if no point with the sphere remains.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
@@ -191,7 +196,10 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
 
 
 def _current(point: Point) -> float:
-    """Return a point's measured amplitude of the current [A peak]; without a positive one, the commanded amplitude."""
+    """Return the measured amplitude of the current of a point [A peak].
+
+    If no positive amplitude was measured, return the commanded amplitude.
+    """
     read = float(np.mean(point.rows["current_amplitude"]))
     return read if math.isfinite(read) and read > 0.0 else point.current_a
 
@@ -201,16 +209,16 @@ def _counted(point: Point) -> bool:
 
 
 def _noise(point: Point, gains: Gains) -> float:
-    """Return the relative standard uncertainty of the DT of a point, at least `LEAST_NOISE`.
+    """Return the relative standard uncertainty of the DT of a point by noise, at least `LEAST_NOISE`.
 
-    The part that the sensitivities (`gains`) contribute is left out.
+    The calibration errors (`gains`) are not included.
     """
     return max(repeatability(point.rows, gains.calibration), LEAST_NOISE)
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Measured:
-    """All measurements of one rig from which its constants are identified; None for those that were not made."""
+    """All measurements of one rig from which its constants are identified; a measurement that was not made is None."""
 
     gains: Gains  # calibration errors of the sensors
     decay: Decay | None = None  # free decay without the sphere
@@ -227,10 +235,10 @@ SETTLE_S = 0.05  # time left out at the beginning, in which the laser's response
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
-    """Simulate the free decay of a rig without its sphere, and return f_n and ζ as measured from its scans.
+    """Simulate the free decay of a rig without its sphere, and return its natural frequency and damping ratio.
 
-    The rig is that of `config`. Its inferior base is locked, and its superior base is released from the displacement
-    `DISPLACEMENT_M`.
+    `config` describes the rig. The superior base is released from the displacement `DISPLACEMENT_M`, and the inferior
+    base is locked. `method` evaluates the scans.
     """
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = LocalRig(config)
@@ -242,9 +250,9 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     """Measure natural frequency and damping ratio from the free decay after the last pluck in a recorded run.
 
-    The decay is evaluated from `SETTLE_S` after the pluck until a reset, missing scans or the end of the run. An
-    imported run has no journal of plucks. Its decay is evaluated from `SETTLE_S` after the largest distance of the
-    superior base from its final position.
+    The decay begins `SETTLE_S` after the pluck. It ends at a reset, at missing scans or at the end of the run. In an
+    imported run, which has no record of plucks, the largest deviation of the superior base from its final position
+    counts as the pluck.
 
     Raises:
         RecordingError: a recorded run contains no pluck, or no scans between `SETTLE_S` after it and a reset.

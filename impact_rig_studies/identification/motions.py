@@ -13,10 +13,9 @@
 # limitations under the License.
 """Settled motion of a simulated rig with its sphere, and derivatives of its DT by the rig's constants, for the fit.
 
-If the motion repeats, the derivatives follow from the stroboscopic map (`Stroboscope.slopes`): only single periods are
-simulated, and the multipliers of the map show whether the periodic orbit is stable. If the motion does not repeat, DT
-is the ratio of mean amplitudes over many cycles. Its standard uncertainty follows from the scatter of batches of
-cycles. Its derivatives are the slopes of a plane that is fitted to its values for slightly changed parameters.
+If the motion repeats, the derivatives follow from the stroboscopic map (`Stroboscope.slopes`). If the motion does not
+repeat, DT is the ratio of mean amplitudes over many cycles. The scatter of batches of cycles then gives its standard
+uncertainty. The derivatives are the slopes of a plane that is fitted to values of DT for slightly changed parameters.
 """
 
 from __future__ import annotations
@@ -60,12 +59,15 @@ class SettledMotion(NamedTuple):
 
     @property
     def repeats(self) -> bool:
-        """Return whether the motion repeats exactly: it has no uncertainty and depends smoothly on the constants."""
+        """Return whether the motion repeats exactly, so that `log_ratio` has no uncertainty."""
         return self.regime == Regime.PERIODIC.value and not self.u
 
 
 def place_of(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> Place:
-    """Return a rig with its sphere at a gap [m], driven by a sinusoidal current `current_a` [A peak]."""
+    """Return a rig with its sphere at a gap [m], together with its sinusoidal drive.
+
+    The drive is the current `current_a` [A peak] at `frequency_hz`.
+    """
     own = {"sphere.present": True, "barriers.gap_m": gap_m, "drive.kind": CURRENT_DRIVE}
     return Place(from_flat(config, own), frequency_hz, current_a)
 
@@ -76,8 +78,8 @@ CURRENT_DRIVE = "current"  # value of `drive.kind`
 def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
     """Simulate a rig with its sphere from rest until its motion has settled, and return this motion.
 
-    DT of an irregular motion is a mean over many cycles, with the uncertainty `SettledMotion.u`. DT without the sphere,
-    the denominator in `log_ratio`, is computed in closed form. For the arguments see `place_of`.
+    `config` describes the rig, `current_a` is the amplitude of the sinusoidal drive current [A peak]. The DT of an
+    irregular motion is a mean over many cycles, with an uncertainty.
 
     Raises:
         SimulationError: the motion cannot be simulated.
@@ -123,17 +125,17 @@ class SettledRig:
     ) -> tuple[Real, float]:
         """Return the derivatives of `motion.log_ratio` by parameters, and the roughness of this function.
 
-        The function is ln(DT with the sphere / DT without). The mean of an irregular motion jumps under small changes
-        of any parameter, so that log_ratio scatters about its linear dependence. The roughness is √2 times the standard
-        deviation of this scatter: that of the difference of two values, because the measured motion and the simulated
-        one both scatter. It is 0 for a stable periodic orbit. The call advances the simulated rig.
+        The log ratio is ln(DT with the sphere / DT without). For an irregular motion it jumps under small changes of
+        the parameters, so it scatters about a linear dependence. The roughness is √2 times the standard deviation of
+        this scatter, because both the measured and the simulated motion scatter. It is 0 for a stable periodic orbit.
+        The call advances the simulated rig.
 
         Args:
             neighbour: `neighbour(i, step)` returns the rig with the i-th parameter changed by `step`.
             count: number of parameters.
             amplitude: index of the parameter that multiplies the current.
-            others: indices of the parameters that change the motion of the sphere in another way than through the
-                amplitude of the inferior base.
+            others: indices of the parameters that affect the motion of the sphere not only through the amplitude of the
+                inferior base.
 
         Returns:
             The derivatives, shape (count,), and the roughness.
@@ -163,10 +165,9 @@ class SettledRig:
 def _closed_form(
     neighbour: Callable[[int, float], Place], place: Place, count: int, of: Callable[[Place], float]
 ) -> Real:
-    """Return the derivatives of `of`, a closed form that needs no simulation, by `count` parameters; shape (count,).
+    """Return the derivatives of the function `of` by `count` parameters, as forward differences; shape (count,).
 
-    They are forward differences at `place` with the step `STEP`. `neighbour(i, step)` returns `place` with the i-th
-    parameter increased by `step`, in the unit that the derivatives refer to.
+    `of` needs no simulation. `neighbour(i, step)` returns `place` with the i-th parameter increased by `step`.
     """
     here = of(place)
     return np.array([(of(neighbour(i, STEP)) - here) / STEP for i in range(count)])

@@ -13,10 +13,9 @@
 # limitations under the License.
 """Derivation of the default rig from the paper: natural frequency f_n and damping ratio ζ of its structure.
 
-Both are fitted to the five published reductions of DT, and to the resonance at 9.1 Hz. The sphere, the contact law and
-e are those of the paper. Mass and shaker have catalogue values. The current is chosen such that the superior base moves
-as in the paper. `PaperFit.information` shows how well the paper determines each constant: too little to fit the current
-as well.
+Both are fitted to the five published reductions of DT and to the published resonance frequency. The sphere, the contact
+law and e are those of the paper. Mass and shaker have catalogue values. The current is chosen such that the superior
+base moves as in the paper. `PaperFit.information` shows how well the paper determines each constant.
 """
 
 from __future__ import annotations
@@ -62,9 +61,9 @@ class PaperFit:
 def fit_paper(
     base: RigConfig, free: Sequence[str] = ("f_n", "ζ"), on_step: Callable[[str], None] = lambda _: None
 ) -> PaperFit:
-    """Fit values of the simulated rig to the paper's reductions and resonance, starting at `START`.
+    """Fit values of the simulated rig to the paper's reductions of DT and resonance, starting at `START`.
 
-    The result also states how well the figures of the paper determine each constant in `ALL`, among them the current.
+    The result also states how well the paper determines each constant in `ALL`.
 
     Args:
         base: rig with all other values, which count as known; normally the shipped configuration.
@@ -72,17 +71,17 @@ def fit_paper(
         on_step: receives a description of each step for the user.
 
     Raises:
-        ConfigError: a value leaves its range on the way.
-        SimulationError: a motion on the way cannot be simulated.
+        ConfigError: a value leaves its range during the fit.
+        SimulationError: a motion during the fit cannot be simulated.
     """
     published = np.array(list(REDUCTION_PERCENT.values()))
     default = np.append(logarithms(base), np.log(CURRENT_A))
 
     def residual(at: Real) -> Real:
-        """Return simulated minus published values, in standard uncertainties of the paper's figures, shape (6,).
+        """Return simulated minus published values, in standard uncertainties of the published values, shape (6,).
 
-        They are those of the five reductions and, last, that of the natural frequency. `at` contains the logarithms of
-        the values in `ALL`.
+        The first five are reductions of DT, the last is the natural frequency. `at` contains the logarithms of the
+        values in `ALL`.
         """
         reductions = _reductions(base, at)
         return np.append((reductions - published) / U_POINTS, (np.exp(at[0]) - FREQUENCY_HZ) / U_FREQUENCY_HZ)
@@ -133,7 +132,7 @@ def _slopes(residual: Callable[[Real], Real], at: Real, here: Real, places: Sequ
 
 
 def _reductions(base: RigConfig, at: Real) -> Real:
-    """Simulate the rig at 9.1 Hz with each of the five gaps of the paper, and return the reductions of DT [%], (5,).
+    """Simulate the rig with each of the five gaps of the paper, and return the reductions of DT [%], shape (5,).
 
     Args:
         base: rig with all other values.

@@ -13,6 +13,6 @@
 # limitations under the License.
 """Import of measurements of other rigs: files that other programs wrote become runs of this package.
 
-`readers` turn a file into `signals`. `mapping` and `assignment` assign signals to channels. `uniform` finds the rate.
-`conversion` turns the signals into scans, and `store` writes these as a run.
+`readers` convert a file to `signals`. `mapping` and `assignment` assign signals to channels. `uniform` determines the
+rate. `conversion` converts the signals to scans, and `store` writes the scans as a run.
 """

@@ -48,14 +48,12 @@ LONGEST_GUESSED = 200  # longest heading, in characters, that is compared
 
 
 def guess(source: ImportedSignals) -> Mapping:
-    """Return the mapping that headings, units and the name of a file suggest; parts without a clue are left out.
+    """Guess the channels, drive frequency and gap of a file from headings, units and the file name.
 
-    Channels come from the largest group of signals with common times. If only one of `laser` and `base` is found there,
-    the other one may have different times. A signal named like a channel is that channel. After that, words of other
-    programs decide (`HINTS`), and then units: the only signal left with a unit of acceleration is the accelerometer,
-    the only one with a unit of current the current. If no signal is found for `laser` (the motion of the structure),
-    but there are an accelerometer on the structure and a `base`, the accelerometer's signal is used for `laser` as
-    well. A signal named `frequency` or `gap` takes precedence over the file name.
+    Parts of the mapping that cannot be guessed are left out. Channels are found in the largest group of signals with
+    common times. A signal with the name of a channel is that channel. After that, known words in headings decide
+    (`HINTS`), and then units. Without a signal for `laser`, the accelerometer's signal is also used for `laser`, if
+    there is a `base`. A signal named `frequency` or `gap` takes precedence over the file name.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}
@@ -97,9 +95,10 @@ def guess(source: ImportedSignals) -> Mapping:
 
 
 def _meant(channel: str, hints: Sequence[str], signals: AnyMapping[str, Signal]) -> str | None:
-    """Return the name of the signal that the first unambiguous hint points to; None if no hint is unambiguous.
+    """Return the name of the signal that the words `hints` suggest for a channel; None if no word is unambiguous.
 
-    A hint is unambiguous if its word is in the name of exactly one signal whose unit is possible for the channel.
+    A word is unambiguous if exactly one signal has it in its name and a unit that is possible for the channel. The
+    first unambiguous word decides.
     """
     words = {name: _words(name) for name, one in signals.items() if _fits(one, channel)}
     matching = ([name for name, own in words.items() if hint in own] for hint in hints)
@@ -107,7 +106,7 @@ def _meant(channel: str, hints: Sequence[str], signals: AnyMapping[str, Signal])
 
 
 def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
-    """Return the largest group of time responses that share a time base, by name: the channels of a run need one."""
+    """Return the largest group of time responses that share their times, by name."""
     bases: dict[object, dict[str, Signal]] = {}
     for name, one in signals.items():
         if one.kind is SignalKind.TIME_RESPONSE:
@@ -119,19 +118,22 @@ def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
 
 
 def _words(name: str) -> frozenset[str]:
-    """Return the words of a heading, and the complete heading, in lower case (ß as ss) for comparison with `HINTS`."""
+    """Return the words of a heading, and the complete heading, in lower case, for comparison with `HINTS`."""
     lower = name[:LONGEST_GUESSED].casefold()
     return frozenset({lower, *_SEPARATORS.split(lower)})
 
 
 def _fits(signal: Signal, channel: str) -> bool:
-    """Return whether the unit of a signal is possible for a channel; volts, unknown and missing units fit each."""
+    """Return whether the unit of a signal is possible for a channel.
+
+    Volts, unknown units and missing units are possible for every channel.
+    """
     found = quantity(signal.unit) if signal.unit else None
     return found is None or found == "V" or found in UNITS[channel]
 
 
 def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping) -> str:
-    """Return the reason, for the user, why a signal that no channel uses is not used.
+    """Return the reason, as a text for the user, why no channel uses a signal.
 
     The reason is empty if the signal gives the frequency or the gap.
     """
@@ -157,13 +159,12 @@ def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping)
 
 
 def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapping[str, Signal]) -> dict[str, Channel]:
-    """Return channels with one changed by the text of an option `--channel`.
+    """Return channels with one channel changed as the text of an option `--channel` states.
 
-    The text names the channel and its signal, which may be followed by a unit and a sensitivity: `laser=ai0`,
-    `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`. `laser=` removes the channel. Unit and sensitivity
-    of the channel are replaced, also if the text states none; it keeps its other properties, such as its sign. The
-    names in `signals` show where a signal's name with blanks ends, and their units apply if the text states none. A
-    name that is not in `signals` is accepted.
+    The text names the channel and its signal, optionally with unit and sensitivity: `laser=ai0`, `laser=ai0 mm`,
+    `laser=ai0 V, 500 mV/mm`. The text `laser=` removes the channel. Unit and sensitivity of the channel are replaced.
+    If the text states no unit, the unit of the signal applies. Other properties of the channel, such as its sign, are
+    kept. The name of the signal need not be in `signals`.
 
     Raises:
         ConfigError: the text is malformed, or its channel is unknown.
@@ -192,6 +193,6 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
 
 
 def _longest(text: str, signals: AnyMapping[str, Signal]) -> str:
-    """Return the longest name of a signal with which the text begins; without one, the text's first word."""
+    """Return the longest signal name with which the text begins; without such a name, the first word of the text."""
     matching = [name for name in signals if text == name or text.startswith((f"{name} ", f"{name},"))]
     return max(matching, key=len) if matching else re.split(r"[\s,]", text, maxsplit=1)[0]

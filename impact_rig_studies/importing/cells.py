@@ -54,7 +54,7 @@ LONGEST_CELL = 64
 
 
 def number(cell: str, decimal: str = ".") -> float | None:
-    """Return the number in a cell, NaN for a missing one (such as `n/a`), or None if the cell contains something else.
+    """Return the number in a cell, NaN for a missing number (such as `n/a`), or None for any other content.
 
     `decimal` is the decimal sign, `.` or `,`. The number may be infinite, and its digits may be in groups of three. A
     cell of more than `LONGEST_CELL` characters gives None.
@@ -76,23 +76,23 @@ def number(cell: str, decimal: str = ".") -> float | None:
 
 
 def is_unclear(cell: str) -> bool:
-    """Return whether a cell such as `1,234` or `1.234` has two values, depending on the decimal sign of its table.
+    """Return whether the number in a cell depends on the decimal sign, as in `1,234` or `1.234`.
 
-    `1,234` is 1.234 if the decimal sign is a comma, and 1234 if it is a point; for `1.234` it is the other way round.
+    With a comma as decimal sign, `1,234` is 1.234. With a point as decimal sign, it is 1234.
     """
     return _UNCLEAR.fullmatch(cell.strip()) is not None
 
 
 def without_markers(values: Real) -> Real:
-    """Return a copy of numbers in which those exactly equal to ±9.91e37 are NaN, and ±9.9e37 are ±infinity (SCPI)."""
+    """Return a copy of numbers with the SCPI markers replaced: ±9.91e37 by NaN, ±9.9e37 by ±infinity."""
     size = np.abs(values)
     return np.where(size == SCPI_NAN, np.nan, np.where(size == SCPI_INFINITY, np.copysign(np.inf, values), values))
 
 
 def half_digit(cell: str) -> float:
-    """Return half of the last digit of a written number, its largest possible rounding error: 0.005 for `1.25`.
+    """Return half of the last digit of a written number, such as 0.005 for `1.25`: its largest possible rounding error.
 
-    Whether the cell contains a number is not checked.
+    The cell must contain a number; this is not checked.
     """
     mantissa, _, exponent = cell.strip().lower().replace("d", "e").partition("e")
     decimals = len(mantissa) - 1 - max(mantissa.rfind("."), mantissa.rfind(",")) if re.search("[.,]", mantissa) else 0
@@ -100,13 +100,13 @@ def half_digit(cell: str) -> float:
 
 
 def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tuple[str, bool]:
-    """Return the decimal sign of a table, `.` or `,`, and whether its cells are evidence of it.
+    """Return the decimal sign of a table, `.` or `,`, and whether its cells are evidence of this sign.
 
-    Cells such as `0,5` or `1.234,5` are evidence. A cell such as `1,234` (or `1.234`) is evidence only together with
-    whole numbers without comma and point in the same column. If all of these are below 1000, the comma in `1,234`
-    separates groups of digits. If one is above 999, the comma is the decimal sign. If commas separate the cells and no
-    cell contains one, this is evidence of a point. Without evidence the decimal sign is a comma if cells contain commas
-    and no points, else a point. Contradictory evidence counts as evidence of a point.
+    Cells such as `0,5` or `1.234,5` are evidence. A cell such as `1,234` is evidence only if the same column contains
+    whole numbers. If a whole number is above 999, digits are not grouped, so the comma is the decimal sign. Otherwise
+    the comma separates groups of digits. If commas separate the cells and no cell contains a comma, this is evidence of
+    a point. Contradictory evidence also counts as evidence of a point. Without evidence the sign is a comma if numbers
+    contain commas and no points, else a point.
 
     Args:
         columns: cells of each column.
@@ -139,10 +139,9 @@ def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tup
 
 
 def _proves(text: str, decimal: str) -> bool:
-    """Return whether a cell proves a decimal sign: it is a number with this sign, and not with the other one.
+    """Return whether a cell is a number with the given decimal sign, and not with the other decimal sign.
 
-    The caller excludes cells that are numbers with either sign, such as `1,234` (`is_unclear`), for which the result is
-    wrong.
+    The result is wrong for cells such as `1,234`, which the caller must exclude (`is_unclear`).
     """
     match = _GROUPED[decimal].fullmatch(text)
     if match:
@@ -200,11 +199,11 @@ def _time(cell: str) -> re.Match[str] | None:
 class Times:
     """Column of dates, times of day or durations, converted to nanoseconds (`ns`).
 
-    `has_date` is True if a cell of the column contains a date, `has_clock` if one contains a time of day or a duration.
+    `has_date` is True if a cell contains a date. `has_clock` is True if a cell contains a time of day or a duration.
     """
 
     def __init__(self, cells: Sequence[str]) -> None:
-        """Convert the cells of a column; `_is_month_first` determines the order of day and month.
+        """Convert the cells of a column.
 
         Raises:
             ValueError: a cell is not a time, or its date does not exist. The message is the text of the cell. For a
@@ -226,15 +225,16 @@ class Times:
 
     @property
     def note(self) -> str:
-        """Note for the user that all dates were read with the month first, as in 3/14/2026; empty if they were not."""
+        """Note for the user that dates were read with the month first, as in 3/14/2026; empty if they were not."""
         return "dates were read as month/day/year" if self._month_first else ""
 
     @staticmethod
     def _is_month_first(cells: Sequence[str]) -> bool:
         """Return whether dates such as 3/4/2026 begin with the month.
 
-        The first cell with a number above 12, or in another notation, decides: they do if its second number is above
-        12. Without such a cell, they do if a separator is a slash, as in the USA.
+        The first date with a number above 12 decides: the month is first if the second number is above 12. A cell in
+        another notation before this date means that the month is not first. Without a decision, dates with slashes
+        begin with the month, as in the USA.
         """
         slash = False
         for cell in cells:
@@ -249,9 +249,10 @@ class Times:
         return slash
 
     def _parse(self, cell: str) -> tuple[int, int]:
-        """Return the two parts of a time in a cell: days (of a date since 1970, of a duration, or 0), and nanoseconds.
+        """Return days and nanoseconds of the time in a cell.
 
-        The nanoseconds are those since midnight, or those of a duration beyond its whole days.
+        For a date, days count from 1970, and nanoseconds from midnight. For a duration, the nanoseconds are those
+        beyond its whole days. A time of day has 0 days.
 
         Raises:
             ValueError: the cell is not a time, or its date does not exist.

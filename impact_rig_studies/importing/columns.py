@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Conversion of a table's columns to signals; columns of times, and named rates or periods, become the abscissa."""
+"""Conversion of a table's columns to signals, with columns of times, rates or periods as the abscissa."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ MOST_SCALARS = 100
 
 @attrs.define
 class _Axis:
-    """Abscissa (times, frequencies) that the columns of a table define, before it is combined with a stated rate."""
+    """Abscissa (times or frequencies) that the columns of a table define, before a stated rate is added."""
 
     kind: AbscissaKind = AbscissaKind.NONE
     name: str = ""
@@ -89,14 +89,15 @@ def signals_of(
 ) -> ImportedSignals:
     """Return the columns of a table as signals with a common abscissa.
 
-    A two-dimensional column becomes as many signals as its shorter side is long, each with the values along the longer
-    side. Columns that are not signals, such as texts or single values next to longer columns, are listed in `left_out`
-    of the result, with the reason for the user. If no column is a signal, the result has no signals.
+    A two-dimensional column becomes several signals, each of the length of its longer side. Columns that are not
+    signals, such as texts or single values next to longer columns, are listed in `left_out` of the result, with the
+    reason for the user. If no column is a signal, the result has no signals.
 
     Args:
         path: the file.
         file_format: name of the format for messages.
-        columns: columns by heading, shape (n,) or (n, k); n may differ, and a rate or a period has a single value.
+        columns: columns by heading, shape (n,) or (n, k). Columns may differ in length. A rate or a period is a single
+            value.
         column_units: units by heading, if they are not part of it.
         rate_hz: rate that the file states outside the columns; a column such as `fs` or `dt` takes precedence.
         remarks: assumptions that the reader of the file made, for the user.
@@ -191,14 +192,14 @@ def _axis(
     dates: tuple[str, NDArray[np.int64]] | None,
     omitted: dict[str, str],
 ) -> _Axis:
-    """Remove the columns of times, or of frequencies, from `numeric`, and return the abscissa that they define.
+    """Return the abscissa that the columns of a table define, and remove the columns of the abscissa from `numeric`.
 
     Columns are preferred in this order: `clocks`, `dates`, `stamps`, numbers that are times, numbers that are
-    frequencies. Without any of them, the abscissa is of the kind `NONE`. Columns of times that are not used, because
-    others already give the times, are added to `omitted`, with the reason.
+    frequencies. Without any of them, the abscissa has the kind `NONE`. Columns of times that are not used are added to
+    `omitted`, with the reason.
 
     Args:
-        numeric: columns of numbers by heading; the used ones are removed.
+        numeric: columns of numbers by heading; the used columns are removed.
         column_units: unit by heading, for headings that do not contain their unit.
         clocks: heading and content of each column of dates, times of day or durations.
         stamps: column `stamp_ns` [ns], or None.
@@ -251,10 +252,10 @@ def _axis(
 
 
 def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
-    """Return the names of the columns that give the times: the first of `clocks`, and one that completes it, if any.
+    """Return the names of the one or two columns in `clocks` that give the times.
 
-    `clocks` must not be empty. The first column of times of day completes a column of dates without a time of day, and
-    the other way round.
+    The first column is always used. If it contains only dates, the first column of times of day completes it, and vice
+    versa. `clocks` must not be empty.
     """
     name, times = clocks[0]
     completing = (
@@ -268,7 +269,7 @@ def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
 
 
 def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
-    """Return the abscissa from one column of dates or times of day, or from two: one of dates, one of times of day."""
+    """Return the abscissa from a column of dates or times of day, or from a pair of both."""
     name, times = clocks[0]
     ns = times.ns
     has_date = times.has_date
@@ -284,16 +285,16 @@ def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
 def _is_fraction(clocks: list[tuple[str, cells.Times]], values: Real) -> bool:
     """Return whether a column contains milliseconds that complete the times in `clocks`.
 
-    Those must include times of day and be whole seconds, and the values of the column be from 0 to below 1000.
+    The times must be whole seconds and include times of day. The values must be at least 0 and below 1000.
     """
     whole = all(bool(np.all(times.ns % NS_PER_S == 0)) for _, times in clocks)
     return whole and any(times.has_clock for _, times in clocks) and bool(np.all((values >= 0.0) & (values < 1e3)))
 
 
 def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
-    """Return the abscissa from a column that counts ms, us or ns since 1970, exactly for integers.
+    """Return the abscissa from a column that counts ms, us or ns since 1970, without rounding of integers.
 
-    It is None for a column with another unit, or whose first value is no date of the years 2000 to 2100.
+    It is None for another unit, or if the first value is not in the years 2000 to 2100.
     """
     first = column.reshape(-1)[0].item()
     for fraction, per_s in FRACTIONS:
@@ -307,10 +308,9 @@ def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
 def _time_axis(name: str, unit: str, values: Real) -> _Axis:
     """Return the abscissa from a column of times, converted to seconds.
 
-    If the unit is not one of time, the values are kept, and the kind is frequency or other. Without a unit, seconds
-    are assumed, except for days of a spreadsheet (since 1900). Values of the years 2000 to 2100 are days if the column
-    is named as a date, or if as seconds they would be more than `MOST_HZ` scans per second. In the latter case, values
-    that begin between 0 and 1 are fractions of a day. Times from days of these years count from the first row.
+    If the unit is not a unit of time, the values are kept, and the kind is frequency or other. Without a unit, seconds
+    are assumed. Days of a spreadsheet (since 1900) are recognized by the name of the column and the size and step of
+    the values. A column of dates in days then counts from its first row.
     """
     note = ""
     word = headings.bare(_name(name))
@@ -341,10 +341,10 @@ def _time_axis(name: str, unit: str, values: Real) -> _Axis:
 
 
 def _abscissa(axis: _Axis, rate_hz: float | None) -> tuple[Abscissa, SignalKind]:
-    """Return the abscissa of all signals of a table, and their kind.
+    """Return the abscissa of all signals of a table, and the kind of the signals.
 
-    `rate_hz` is the rate that the file states elsewhere, None if it states none. An abscissa of times contains both
-    this rate and the listed times; the conversion decides which of them applies.
+    `rate_hz` is the rate that the file states elsewhere, or None. An abscissa of times contains both this rate and the
+    listed times.
     """
     values = axis.values
     if axis.kind is AbscissaKind.FREQUENCY:

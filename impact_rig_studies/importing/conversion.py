@@ -78,10 +78,9 @@ def convert(
     Args:
         source: content of the file.
         mapping: assignment of its signals to channels.
-        drive: table of commands with the columns `time` or `stamp_ns`, `frequency` [Hz] and, if known, `current`
-            [A peak]. An amplitude that neither the table nor the mapping states is estimated from the data. None means
-            that the mapping states the frequency, or if it does not, that it is found in the data (0 if they show
-            none).
+        drive: table of commands with the columns `time` or `stamp_ns`, `frequency` [Hz] and, if known, `current` [A
+            peak]. With None, the mapping states the frequency. If the mapping does not state it, the frequency is found
+            in the data (0 if they show none). Unknown amplitudes are estimated from the data.
         sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence.
             Resolution and skew that neither states are estimated from the data; all other properties are ideal. A rate
             in the table is ignored.
@@ -176,7 +175,10 @@ def convert(
 
 
 def _no_signal(source: ImportedSignals, name: str, purpose: str) -> ConfigError:
-    """Return the error that a file has no signal `name`; `purpose` is `frequency`, `gap` or a channel like `laser`."""
+    """Return the error that a file has no signal `name`.
+
+    `purpose` is `frequency`, `gap` or a channel like `laser`.
+    """
     there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
     hint = did_you_mean(name, source.signals, "did you mean {!r}?", there)
     if name in source.left_out:
@@ -200,7 +202,7 @@ def _unassigned(source: ImportedSignals) -> str:
 
 
 def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
-    """Return the assumption about the missing or ambiguous unit of a channel, as one text for the user.
+    """Return the assumption about the missing or ambiguous unit of a channel, as a list with one text for the user.
 
     The list is empty if the unit is clear.
     """
@@ -212,7 +214,7 @@ def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
 
 
 def _differ(signals: AnyMapping[str, Signal]) -> bool:
-    """Return whether some of the signals are given at different times."""
+    """Return whether any of the signals has other times than the first signal."""
     one, *others = signals.values()
     return any(other.abscissa is not one.abscissa and not _fits(one, other) for other in others)
 
@@ -230,9 +232,9 @@ def _fits(one: Signal, other: Signal) -> bool:
 
 
 def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[Abscissa, int, dict[str, float]]:
-    """Return the abscissa of the first channel, its length, and by channel how much later it starts than that one [s].
+    """Return the abscissa of the first channel, its length, and the delay of each channel relative to it [s].
 
-    The difference is negative for a channel that starts earlier.
+    The delays are given by channel. A delay is negative if the channel starts earlier than the first channel.
 
     Raises:
         RecordingError: the signals have different lengths, or times that differ by more than half a sampling period.
@@ -255,9 +257,9 @@ def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[
 
 
 def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> bool:
-    """Return whether two abscissas of `count` values last equally long from first to last value.
+    """Return whether two abscissas of `count` values have the same duration from first to last value.
 
-    A difference up to half a `period` [s] is allowed. Where they start does not matter.
+    A difference up to half a `period` [s] is allowed.
     """
     ends = [
         one.step * (count - 1) if one.step else float(one.values[-1]) if one.values is not None and count else 0.0
@@ -267,9 +269,9 @@ def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> 
 
 
 def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the values, which are in SI units, as rows of `daq/scan` with `time` 0.
+    """Return values in SI units as rows of `daq/scan`, with `time` 0.
 
-    `status` has a bit for each reading that is at an end of its channel's range or outside of it.
+    A bit of `status` marks each reading that reaches or exceeds the range of its channel.
     """
     names = tuple(info["name"].astype(str))
     columns = (topics.SCAN.fields[0], *(Column(n, si_units[n], "") for n in names), topics.SCAN.fields[1])
@@ -284,10 +286,9 @@ def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: N
 
 @attrs.frozen(eq=False)
 class _Instants:
-    """Conversion between the position of a scan (0 for the first in the file) and its stamp [ns].
+    """Conversion between the position of a scan (0 for the first scan in the file) and its stamp [ns].
 
-    Missing scans have no position. Stamps count, like `start_ns`, from 1970 if the file states dates, else from the
-    zero of its own stamps, or from its first scan if it has none.
+    Missing scans have no position. Stamps count from the same zero as `start_ns`.
     """
 
     index: NDArray[np.int64]
@@ -313,11 +314,11 @@ def _calibration(
     steps: AnyMapping[str, float],
     skews: AnyMapping[str, float],
 ) -> tuple[NDArray[np.void], dict[str, tuple[str, ...]]]:
-    """Return rows of `daq/info` for the channels, and by channel the columns that were estimated from the data.
+    """Return rows of `daq/info` for the channels, and the columns that were estimated from the data, by channel.
 
     The mapping takes precedence over the table of calibration (`sheet`). Resolution and skew that neither states are
-    estimated from the values and times of the signals. Any other property that neither states is ideal: no error, no
-    delay, an unlimited range. The rate is always `rate`; it counts as estimated unless the mapping states it.
+    estimated from the signals. Any other property that neither states is ideal: no error, no delay, an unlimited range.
+    The rate counts as estimated unless the mapping states a rate.
 
     Raises:
         ConfigError: the lower end of a channel's range is not below the upper end.
@@ -352,12 +353,11 @@ def _calibration(
 
 
 def _confirmed(mapping: Mapping, measured_hz: float, seconds: float, rate: float) -> tuple[Mapping, list[str]]:
-    """Compare a frequency guessed from the file name with the data; return the mapping, and texts for the user.
+    """Compare the drive frequency guessed from the file name with the data; return the mapping, and texts for the user.
 
-    A guess that contradicts the frequency of the sine in the data (`measured_hz`, 0 if no sine is clear) is replaced by
-    this frequency. One of half the rate or more is dropped, because no drive frequency is: it is often the sampling
-    rate. `seconds` is the length of the record, `rate` its number of scans per second. The texts also state a guessed
-    gap, which cannot be compared.
+    If the sine in the data has another frequency (`measured_hz`, 0 without a clear sine), this frequency replaces the
+    guess. A guess of half the scan rate or more is dropped, because it is often the sampling rate. The texts also state
+    a guessed gap. `seconds` is the length of the record, `rate` the scan rate [Hz].
     """
     said = []
     if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):
@@ -390,12 +390,12 @@ def _confirmed(mapping: Mapping, measured_hz: float, seconds: float, rate: float
 def _commands(
     source: ImportedSignals, mapping: Mapping, drive: ImportedSignals | None, followed: Real | None, instants: _Instants
 ) -> tuple[tuple[int, float, float], ...]:
-    """Return the drive commands as (stamp [ns], frequency [Hz], amplitude, NaN if unknown); empty if none is known.
+    """Return the drive commands as (stamp [ns], frequency [Hz], amplitude); empty if no command is known.
 
-    They are those of the table `drive`. Its times count from the same instant as those of `source`, unless both contain
-    dates. Without it, the values of the frequency signal `followed` are used, with a command at each change. Without
-    that signal the single frequency of the mapping is used. The peak amplitudes are those of the mapping [A, or
-    m for a prescribed base], unless the table has a column `current`.
+    The commands are those of the table `drive`. Without a table, there is a command at each change of the frequency
+    signal `followed`. Without such a signal, the single frequency of the mapping is used. Amplitudes are peak values
+    [A, or m for a prescribed base], taken from the column `current` of the table, else from the mapping. An unknown
+    amplitude is NaN.
 
     Raises:
         ConfigError: the table lacks frequencies or times, its columns differ in length, one of its times is not finite,
@@ -435,10 +435,12 @@ _PEAK = re.compile(r"[\s_-]+(?:peak|pk|0-p)$", re.IGNORECASE)  # the amplitudes 
 
 
 def _in_unit(path: Path, name: str, signal: Signal, wanted: str) -> Real:
-    """Return the values of a signal in the unit `wanted`, in which they are if the file states no unit.
+    """Return the values of a signal, converted to the unit `wanted`.
+
+    Values without a unit are returned unchanged.
 
     Raises:
-        ConfigError: the unit is unknown, or that of another quantity.
+        ConfigError: the unit is unknown, or a unit of another quantity.
         RecordingError: the unit needs `pint` (see `units`), which is not installed.
     """
     unit = _PEAK.sub("", signal.unit)
@@ -451,7 +453,7 @@ def _in_unit(path: Path, name: str, signal: Signal, wanted: str) -> Real:
 
 
 def _changes(values: Real) -> list[int]:
-    """Return position 0 and all positions at which a value differs from the one before; two NaN count as equal."""
+    """Return position 0 and all positions at which a value differs from the value before; two NaN count as equal."""
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     return [0, *(np.flatnonzero(~same) + 1).tolist()]
 
@@ -459,11 +461,11 @@ def _changes(values: Real) -> list[int]:
 def _with_amplitude(
     commands: Sequence[tuple[int, float, float]], values: Real, instants: _Instants
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield the drive commands with missing amplitudes estimated from the measured `values` of the drive.
+    """Yield the drive commands, with missing amplitudes estimated from the measured `values` of the drive.
 
-    A command is (stamp [ns], frequency [Hz], peak amplitude in the unit of `values`, NaN if missing).
-    The estimate is √2 times the standard deviation of the values from the command to the next one, with NaN
-    as 0. Without values there, the amplitude remains NaN.
+    A command is (stamp [ns], frequency [Hz], peak amplitude in the unit of `values`, NaN if missing). The estimate is
+    √2 times the standard deviation of the values from this command to the next command. Without values there, the
+    amplitude remains NaN.
     """
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
@@ -473,9 +475,9 @@ def _with_amplitude(
 
 
 def _longest_stretch(values: Real, index: NDArray[np.int64]) -> Real:
-    """Return the longest part of values without a missing scan and without NaN or infinity, of equal ones the first.
+    """Return the longest part of values without a missing scan and without NaN or infinity.
 
-    `index` are the scan numbers of the values, with gaps where scans are missing.
+    `index` contains the scan numbers of the values, with gaps where scans are missing.
     """
     is_good = np.isfinite(values)
     ends = np.flatnonzero((np.diff(index) != 1) | (is_good[1:] != is_good[:-1])) + 1
@@ -488,13 +490,11 @@ def _longest_stretch(values: Real, index: NDArray[np.int64]) -> Real:
 def _frequency_of(
     found: AnyMapping[str, Real], si_units: AnyMapping[str, str], rate: float, index: NDArray[np.int64]
 ) -> tuple[float, bool]:
-    """Return the drive frequency [Hz] that the data show (0 if none), and whether they are a clear sine.
+    """Return the drive frequency [Hz] that the data show (0 if none), and whether the data are a clear sine.
 
-    The frequency is that of the largest spectral line of the first measured channel in `REFERENCES`. Only the end of
-    its longest part without a missing value is used: `FREQUENCY_S` or `FREQUENCY_SCANS`, the longer. Lines are compared
-    as displacements. This raises the noise of an accelerometer at low frequencies. Therefore lines clearly above the
-    noise around them take precedence over larger ones that are not. A clear sine has more power than the rest of the
-    signal.
+    The frequency is that of the largest line in the displacement spectrum of the first measured channel in
+    `REFERENCES`. Lines clearly above the noise around them take precedence over other lines. Only the end of the
+    record's longest part without missing values is used. A clear sine has more power than the rest of the signal.
     """
     from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
 

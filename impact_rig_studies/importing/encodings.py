@@ -32,9 +32,9 @@ SAMPLE = 4096
 def decode(content: bytes) -> tuple[str, str]:
     """Return the text of a file and the name of its encoding.
 
-    A byte order mark decides. Without one, the encoding is UTF-16 if many of the first bytes are zero. Otherwise it is
-    the first of UTF-8, cp1252 and Latin-1 in which all bytes are valid. Behind a byte order mark and in UTF-16, invalid
-    bytes become U+FFFD. Any bytes are accepted.
+    A byte order mark decides. Without a mark, the encoding is UTF-16 if many of the first bytes are zero. Otherwise it
+    is the first of UTF-8, cp1252 and Latin-1 in which all bytes are valid. Any bytes are accepted: where needed,
+    invalid bytes become U+FFFD.
     """
     for mark, name in MARKS:
         if content.startswith(mark):
@@ -57,7 +57,7 @@ def decode(content: bytes) -> tuple[str, str]:
 def split_lines(text: str) -> list[str]:
     """Return the lines of a text without their ends: line feed, carriage return, or both.
 
-    Unlike with `str.splitlines`, no other character ends a line. A last empty line is dropped.
+    Unlike in `str.splitlines`, no other character ends a line. An empty last line is dropped.
     """
     lines = text.split("\n") if "\r" not in text else _LINE_END.split(text)
     return lines[:-1] if lines and not lines[-1] else lines

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Guesses of drive frequency and gap from the name of a file; the decimal sign may be a point, a comma or `p`."""
+"""Guesses of drive frequency and gap from the name of a file.
+
+The decimal sign in the name may be a point, a comma or `p`.
+"""
 
 from __future__ import annotations
 
@@ -41,9 +44,8 @@ _NO_SPHERE = re.compile(
 def frequency_hz(stem: str) -> float | None:
     """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz`, `9.1 hz` or `1kHz`.
 
-    It is None if the name has no frequency above 0, or several that differ. A frequency next to a word such as `fs`,
-    `rate` or `sampling`, as in `fs_1000Hz` or `64kHz_sampling`, does not count, because it is a sampling rate. If the
-    word stands between two frequencies, the higher one is the sampling rate.
+    The result is None if the name has no frequency above 0, or several different frequencies. Sampling rates, as in
+    `fs_1000Hz` or `64kHz_sampling`, do not count.
     """
     found = [(one, _number(one[1]) * (1e3 if one[2] else 1.0)) for one in _FREQUENCY.finditer(stem)]
     rates, others = set[float](), set[float]()
@@ -58,10 +60,10 @@ def frequency_hz(stem: str) -> float | None:
 
 
 def gap_m(stem: str) -> float | None:
-    """Return the gap [m] in a file name such as `gap_0,5mm`, or 0 for one such as `no_sphere`, even if it has lengths.
+    """Return the gap [m] in a file name such as `gap_0,5mm`, or 0 for a name such as `no_sphere`.
 
-    Lengths next to a word such as `gap` take precedence over others. Otherwise it is None if there is no length in mm
-    or µm, or if several differ.
+    A length next to a word such as `gap` takes precedence over other lengths. The result is None if the name has no
+    length in mm or µm, or several different lengths.
     """
     if _NO_SPHERE.search(stem):
         return 0.0
@@ -72,7 +74,7 @@ def gap_m(stem: str) -> float | None:
 
 
 def _only(values: set[float]) -> float | None:
-    """Return the value if there is exactly one; None if there are none, or several that contradict each other."""
+    """Return the value if there is exactly one; None if there are no values or several."""
     return next(iter(values)) if len(values) == 1 else None
 
 

@@ -90,9 +90,10 @@ def _time_suffix(name: str) -> str | None:
 
 
 def rate_hz(name: str, value: float) -> float | None:
-    """Return the sampling rate [Hz] that a number with a name such as `fs [kHz]` or `dt_ms` states.
+    """Return the sampling rate [Hz] that a single number with a name such as `fs [kHz]` or `dt_ms` states.
 
-    It is None for other names, for a unit of another quantity, and for a value that is not finite and above 0.
+    The result is None if the name is not that of a rate or period, its unit does not fit, or the rate or period is not
+    finite and above 0.
     """
     plain, unit = split_unit(name)
     match = _UNIT_SUFFIX.fullmatch(plain[:80])
@@ -109,9 +110,9 @@ def rate_hz(name: str, value: float) -> float | None:
 
 
 def time_unit(name: str, unit: str) -> str:
-    """Return the unit of a column of times: `unit` (see `split_unit`), or else the one that its name implies.
+    """Return the unit of a column of times: `unit` if it is not empty, else the unit that the column's name implies.
 
-    A name implies a unit by a suffix (`time_ms`) or as a word (`seconds`). The result is empty if neither is known.
+    A name implies a unit by a suffix (`time_ms`) or as a word (`seconds`). The result is empty if no unit is known.
     """
     suffix = _time_suffix(name)
     return unit or _UNIT_OF_NAME.get(suffix or bare(name), suffix or "")
@@ -120,8 +121,8 @@ def time_unit(name: str, unit: str) -> str:
 def split_unit(heading: str) -> tuple[str, str]:
     """Return name and unit of a heading such as `base [mm]`, `acc (m/(s^2))`, `Weg / mm`, `Weg in mm`, `x_mm`.
 
-    The unit is empty if there is none. Of units after an underscore, only those in `_SIGNAL_SUFFIXES` count, so
-    not `m`. They remain part of the name: `x_mm` gives `x_mm` and `mm`.
+    The unit is empty if there is none. Units after an underscore count only if they are in `_SIGNAL_SUFFIXES`. They
+    also remain part of the name: `x_mm` gives `x_mm` and `mm`.
     """
     text = heading.strip()
     run = _RUN.fullmatch(text[:120])
@@ -147,7 +148,7 @@ def split_unit(heading: str) -> tuple[str, str]:
 
 
 def _bracketed(text: str) -> tuple[str, str]:
-    """Return the name of a heading and the unit in brackets at its end, empty without brackets."""
+    """Return name and unit of a heading that ends with a unit in brackets; without brackets the unit is empty."""
     if not text.endswith(("]", ")")):
         return text, ""
     opened, closed = ("[", "]") if text.endswith("]") else ("(", ")")
@@ -163,9 +164,9 @@ def _bracketed(text: str) -> tuple[str, str]:
 def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return whether a row of a table's heading contains units.
 
-    It does if its first cell is a label such as `units`. Otherwise every filled cell must be a unit. There is one
-    exception: if the row `above` has no empty cell and begins with the name of a column of times or frequencies, a
-    filled first cell decides alone. It must be a unit of time or frequency.
+    A row contains units if its first cell is a label such as `units`, or if every filled cell is a unit. If the row
+    `above` is complete and begins with a name of times or frequencies, a filled first cell decides alone: it must be a
+    unit of time or frequency.
     """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:
@@ -177,7 +178,10 @@ def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
 
 
 def unit_cells(cells: Sequence[str]) -> list[str]:
-    """Return the units in a row of units, without brackets; a label such as `units` in the first cell becomes empty."""
+    """Return the units in a row of units, without brackets.
+
+    If the first cell is a label such as `units`, it becomes empty.
+    """
     units = [cell.strip().strip("[]").strip() for cell in cells]
     units = [unit[1:-1] if unit.startswith("(") and unit.endswith(")") else unit for unit in units]
     return ["", *units[1:]] if units and units[0].strip(":").lower() in _UNIT_LABELS else units
@@ -209,7 +213,7 @@ SAME_RATE = 0.05  # largest relative difference of two statements of one rate, o
 
 
 class StatedRate(NamedTuple):
-    """Sampling rate that lines around a table state, if any, with a note for the user."""
+    """Sampling rate that the lines around a table state, if any, with a note for the user."""
 
     hz: float | None = None  # None if no rate is stated, or several that differ by more than 5 %
     note: str = ""  # assumption about it, or the several rates, for the user; empty if none
@@ -218,9 +222,9 @@ class StatedRate(NamedTuple):
 def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None = None) -> StatedRate:
     """Return the sampling rate that lines around a table state, as in `Sample rate: 51200 Hz` or `Delta_X 0.008`.
 
-    The unit, after the number or in the heading before it, determines whether the number is a rate or a period; without
-    a unit, the name does. Decimal sign and delimiter are those of the table. If several rates are stated, the first
-    counts if all others are within 5 % of it; otherwise none does, and the note lists them.
+    The unit of the number, or else its name, decides whether it is a rate or a period. `decimal` and `delimiter` are
+    those of the table. If all stated rates agree within 5 %, the first is returned. Otherwise no rate is returned, and
+    the note lists the rates.
     """
     texts = (_REMARK_WITH_NUMBER.sub("", _PER_SECOND.sub("Hz", line[:300])) for line in lines)
     matches = itertools.islice((match for text in texts for match in _STATED.finditer(text)), MOST_STATED)
@@ -234,12 +238,16 @@ def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None 
 
 
 def _in_hz(text: str) -> str:
-    """Return a text with units of samples per time replaced by plain ones: `kS/s` by kHz, `samples/min` by 1/min."""
+    """Return a text with units of samples per time replaced by plain units, such as `kS/s` by kHz."""
     return _SAMPLES_PER_MINUTE.sub("1/min", _SAMPLES.sub(r"\1Hz", text))
 
 
 def _rate_of(match: re.Match[str], decimal: str, delimiter: str | None) -> tuple[float, str] | None:
-    """Return rate [Hz] and note of a match of `_STATED`; None if it is no sampling rate, as in `feed rate: 5 mm/s`."""
+    """Return the sampling rate [Hz] that a match of `_STATED` states, and a note for the user.
+
+    The result is None if the match is no sampling rate, as in `feed rate: 5 mm/s`. The note is empty if the number is
+    unambiguous.
+    """
     between, behind = (_in_hz(text) for text in (match["between"] + (match["after"] or ""), match["unit"] or ""))
     if any(word.lower() not in _BETWEEN and quantity(word) not in ("Hz", "s") for word in _WORD.findall(between)):
         return None

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reading of a file in a separate process: memory and time are limited, and a crash of a library is only an error."""
+"""Reading of a file in a separate process with limited memory and time, in which a crash only causes an error."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def run(
 
     Args:
         path: the file, for messages.
-        what: its format, for messages.
+        what: name of its format, for messages.
         file_bytes: size of the file, which determines the limits of memory and time.
         reader: function that reads the file.
         prepare: function that imports the modules of the reader before the process is forked.
@@ -111,7 +111,10 @@ def run(
 
 
 def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, seconds: float) -> NoReturn:
-    """Run the reader in the child process, write its result or its error into the pipe `sink`, and end the process."""
+    """Run the reader in the child process, write its result or its error into the pipe `sink`, and end the process.
+
+    The process is limited to `seconds` of computing time, and to memory in proportion to `file_bytes`.
+    """
     faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # discards messages of a library that fails
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -137,7 +140,7 @@ def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, se
 
 
 def _limit(file_bytes: int, seconds: float) -> None:
-    """Limit what this process may use from now on: `seconds` of computing time, and memory by the size of the file."""
+    """Limit the further computing time of this process to `seconds`, and its further memory by the size of the file."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     more = budget.raised(WORKING_BYTES + WORKING_PER_BYTE * file_bytes)
     for kind, limit in (
@@ -151,7 +154,7 @@ def _limit(file_bytes: int, seconds: float) -> None:
 
 
 def _receive(source: int, deadline: float) -> bytes:
-    """Return everything that the child writes into a pipe until it closes the pipe.
+    """Return everything that the child process writes into a pipe, until it closes the pipe.
 
     Raises:
         TimeoutError: the child has not closed the pipe by the deadline [s of the monotonic clock].
@@ -167,10 +170,9 @@ def _receive(source: int, deadline: float) -> bytes:
 
 
 def _send(found: ImportedSignals, out: BinaryIO) -> None:
-    """Write signals into the pipe to the parent: a line of JSON, then the numbers of all arrays.
+    """Write signals into the pipe to the parent process: a line of JSON, then the numbers of all arrays.
 
-    In the JSON, each array is replaced by its index in the sequence of arrays. An array that several signals share is
-    written once.
+    In the JSON, the index of an array stands for the array. An array that several signals share is written once.
     """
     arrays: list[Real] = []
     places: dict[int, int] = {}

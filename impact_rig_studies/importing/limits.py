@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Limits of memory and content for imported files, so that a damaged or malicious one cannot fill the memory.
+"""Limits of memory and content for imported files, so that a damaged or malicious file cannot fill the memory.
 
-The environment variable IMPACT_RIG_BUDGET multiplies all of them.
+The environment variable IMPACT_RIG_BUDGET multiplies all limits.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ EXPANDED_BYTES, EXPANDED_PER_BYTE = 64 * budget.MIB, 4
 
 
 def check_column_count(count: int) -> None:
-    """Reject a file with more columns, signals or other parts than any measurement has.
+    """Reject a file with too many columns, signals or other parts.
 
     Raises:
         BudgetError: `count` is above `COLUMNS`, multiplied by IMPACT_RIG_BUDGET.
@@ -43,7 +43,7 @@ def check_value_count(count: float, file_bytes: int) -> None:
     """Reject a file that claims more numbers than a file of this size can really contain.
 
     Raises:
-        BudgetError: `count` is above `VALUES`, multiplied by IMPACT_RIG_BUDGET, or as many numbers of 8 bytes exceed
+        BudgetError: `count` is above `VALUES`, multiplied by IMPACT_RIG_BUDGET, or `count` numbers of 8 bytes exceed
             the limit of `check_expanded_bytes`.
     """
     budget.allow("values in a file", count, VALUES)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Assignment of signals to channels, with units and calibration: guessed, refined by a YAML text and by options.
+"""Assignment of signals to channels, with units and calibration: guessed, then refined by a YAML text and by options.
 
 SI value = sign · scale · value [unit] / sensitivity + offset       delay and lag as in `analysis.calibration`
 """
@@ -111,10 +111,7 @@ def _not_negative(_mapping: object, _field: object, value: float | str | None) -
 
 @attrs.frozen(kw_only=True)
 class Mapping:
-    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap.
-
-    `guessed` names those of drive frequency and gap that come only from the name of the file.
-    """
+    """Meaning of an imported file: the channels of its signals, the scan rate, the drive and the gap."""
 
     channels: AnyMapping[str, Channel]  # by name
     rate_hz: float | None = None  # rate that replaces the times in the file; None means that these count
@@ -130,10 +127,10 @@ class Mapping:
 
 
 def refined(mapping: Mapping, text: str) -> Mapping:
-    """Return a mapping in which the values that a YAML text states replace those of `mapping`; all others are kept.
+    """Return a mapping in which the values of a YAML text replace those of `mapping`; all other values are kept.
 
-    The text is that of the option `--mapping`. A channel also keeps those of its keys that the text does not state; a
-    channel that is null in the text is removed. An example:
+    The text is that of the option `--mapping`. Keys of a channel that the text does not state are also kept. A channel
+    that is null in the text is removed. An example:
 
         rate_hz: 5000
         frequency: 9.1               # Hz, or the name of a column
@@ -180,7 +177,10 @@ def refined(mapping: Mapping, text: str) -> Mapping:
 
 
 def as_yaml(mapping: Mapping) -> str:
-    """Return a mapping as a YAML text, from which `refined` restores it, except for `guessed`, in an empty mapping."""
+    """Return a mapping as a YAML text.
+
+    `refined` restores the mapping from this text and an empty mapping, except for `guessed`.
+    """
     content: dict[str, object] = {
         "channels": {
             name: {

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Common form of the content of imported files: named signals with their abscissas, and a list of omitted parts.
 
-Every reader of a format produces it, and every later step reads nothing else.
+Every reader of a format returns this form, and all later steps of the import use it.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class AbscissaKind(enum.StrEnum):
 class Abscissa:
     """Times or frequencies at which a signal is given: evenly spaced, listed one by one, or both.
 
-    Times are always in seconds, also if `unit` is another one; all other values are in this unit.
+    Times are in seconds, even if `unit` is another unit of time. All other values are in `unit`.
     """
 
     kind: AbscissaKind = AbscissaKind.NONE
@@ -77,7 +77,7 @@ NO_ABSCISSA = Abscissa()
 
 
 def even_times(rate_hz: float, start_s: float = 0.0) -> Abscissa:
-    """Return the abscissa of samples at a rate that the file states, the first at `start_s`."""
+    """Return the abscissa of evenly spaced samples at a stated rate; the first sample is at `start_s`."""
     return Abscissa(AbscissaKind.TIME, "s", start_s, 1.0 / rate_hz)
 
 
@@ -93,19 +93,19 @@ class Signal:
 
     @property
     def rate_hz(self) -> float | None:
-        """Samples per second that the file states; None if it states none, even if it lists times."""
+        """Samples per second that the file states; None without a stated rate, even if times are listed."""
         step = self.abscissa.step
         return 1.0 / step if self.abscissa.kind is AbscissaKind.TIME and step else None
 
     @property
     def time_s(self) -> Real | None:
-        """Listed times since the first sample [s], shape (n,); None if the file lists none."""
+        """Listed times since the first sample [s], shape (n,); None if the file lists no times."""
         return self.abscissa.values if self.abscissa.kind is AbscissaKind.TIME else None
 
 
 @attrs.frozen(eq=False)
 class ImportedSignals:
-    """Content of a file that another program wrote, in the common form."""
+    """Content of a file that another program wrote, in a form that is the same for all file formats."""
 
     path: Path
     format: str  # name of the format for messages
@@ -119,7 +119,7 @@ class ImportedSignals:
 
     @property
     def begins_s(self) -> float:
-        """Time of the first sample of the file's first time signal [s], if the file does not state a date.
+        """Time of the first sample of the first time signal [s], counted from the zero of the file's times.
 
         It is 0 if `start_ns` states the date of this sample, or if no signal has times.
         """
@@ -130,12 +130,12 @@ class ImportedSignals:
 
 
 def reasons(left_out: Mapping[str, str]) -> str:
-    """Return the parts that are left out of a file, with the reasons, as `name: reason`, cut to 300 characters."""
+    """Return a text that lists the parts left out of a file, as `name: reason`, cut to 300 characters."""
     return "; ".join(f"{name}: {why}" for name, why in left_out.items())[:300]
 
 
 class UniqueNames:
-    """Generator of unique names for signals, fast even for thousands of equal names.
+    """Generator of unique names for signals.
 
     Args:
         reserved: names that it never returns.

@@ -14,8 +14,8 @@
 """Step (resolution) of imported values: the spacing that is due to a converter, to integers or to few digits.
 
 No file format states the step reliably, because values are scaled, printed and truncated before they are imported. It
-is computed from the values themselves, as the largest number of which all their differences are integer multiples
-(Euclid's algorithm).
+is computed from the values themselves: all differences of the values are integer multiples of the step (Euclid's
+algorithm).
 """
 
 from __future__ import annotations
@@ -36,12 +36,11 @@ CHANCE = 1e-9  # probability that differences are multiples of a number within t
 
 
 def step_of(values: Real) -> float:
-    """Return the step of which all differences of a signal's values are multiples, in their unit; 0 if there is none.
+    """Return the step of a signal's values, in their unit; 0 if no step is found.
 
-    The result is also 0 for at most 2 · `REPEATED` finite values, or if they repeat after every `REPEATED` samples.
-    Only the last `SAMPLES` values are used, and of these only the large ones, at least half of the largest absolute
-    value. Smaller values may be printed with finer steps, which do not matter for the amplitude. If the large values
-    have at most `FEW` levels, the small ones are used as well.
+    All differences of the values are multiples of the step. Only the last `SAMPLES` values are used. Values below half
+    of the largest absolute value are ignored if the larger values have more than `FEW` levels. The result is also 0 for
+    few values, or if they repeat after every `REPEATED` samples.
     """
     values = values[-SAMPLES:]
     values = values[np.isfinite(values)]
@@ -59,10 +58,10 @@ def step_of(values: Real) -> float:
 
 
 def _common_divisor(apart: Real, rounding: float) -> float:
-    """Return the largest number of which all differences `apart` of values are multiples; 0 if there is none.
+    """Return the largest number of which all differences in `apart` are multiples; 0 if there is none.
 
-    `rounding` is the uncertainty of a difference, and smaller differences are ignored. A number of which the
-    differences may be multiples by chance (`CHANCE`) does not count.
+    `rounding` is the uncertainty of a difference. Differences up to `rounding` are ignored. The result is also 0 if the
+    differences may be multiples by chance (`CHANCE`).
     """
     apart = np.sort(apart[apart > rounding])
     step = float(apart[0]) if len(apart) else 0.0

@@ -43,10 +43,10 @@ WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSM
 def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> Path:
     """Write an imported measurement as a run into a directory, and return the directory.
 
-    The run also contains the results of the analysis of its scans. A missing directory is created. An existing one may
-    contain other files, but no recording.
+    The run also contains the results of the analysis of its scans. A missing directory is created. An existing
+    directory may contain other files, but no recording.
 
-    `clock_ns` is the time of writing that the run states [ns since 1970], not that of the scans; None means now.
+    `clock_ns` is the time of writing that the run states [ns since 1970]; None means now.
 
     Raises:
         RecordingError: the run cannot be written, or the directory already contains a recording.
@@ -88,7 +88,10 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
 
 
 def origin_of(found: ImportedRun) -> dict[str, object]:
-    """Return the origin of an imported run as data: what was read from the file, assumed about it, and left out."""
+    """Return a description of where an imported run comes from, as a dictionary for JSON.
+
+    It states what was read from the file, which assumptions were made, and what was left out.
+    """
     source = found.source
     used = {one.column: name for name, one in found.mapping.channels.items()}
     return {
@@ -110,7 +113,7 @@ def origin_of(found: ImportedRun) -> dict[str, object]:
 def estimated(attachments: Mapping[str, bytes]) -> dict[str, tuple[str, ...]]:
     """Return the columns of `daq/info` that the import estimated from the data of a run, by channel.
 
-    The result is empty for a run that was not imported. `attachments` are those of the run.
+    `attachments` are the attachments of the run. The result is empty for a run that was not imported.
     """
     try:
         columns = json.loads(attachments[SOURCE])["estimated"]
@@ -120,7 +123,7 @@ def estimated(attachments: Mapping[str, bytes]) -> dict[str, tuple[str, ...]]:
 
 
 def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:
-    """Yield the messages to write before the scans, with their topics: calibration, drive commands and remarks."""
+    """Yield the messages before the scans, with their topics: calibration, drive commands and remarks."""
     yield topics.INFO, Table(found.start_ns, found.info)
     for instant, frequency, current in found.drive:
         row = np.zeros(1, APPLIED)
@@ -132,7 +135,7 @@ def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:
 
 
 def _blocks(found: ImportedRun) -> Iterator[Table]:
-    """Yield the scans in blocks of about 0.1 s; a new block begins after missing scans.
+    """Yield the scans in blocks of about `BLOCK_S` seconds; a new block begins after missing scans.
 
     A block has at least one scan, and at most `BLOCK_SCANS`.
     """

@@ -11,11 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Uniform time base of imported signals: the rate that a file states, or that its times have, whole or not.
+"""Uniform time base of imported signals: the scan rate that the file states, or the rate of its listed times.
 
-Times and steps are written with few digits, so that the rate is known only within an interval. The rate is the whole
-number in this interval, or else a usual clock rate divided by a whole number, or else the measured value
-(`likely_rate`).
+Times and steps are written with few digits, so the rate is known only within an interval. `likely_rate` selects the
+most plausible rate in this interval, such as a whole number.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ Rate = int | float  # scans per second: int for a whole number
 class Grid:
     """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s] after scan 0.
 
-    Scan 0 is the first of the file, and `index` has gaps where scans are missing.
+    Scan 0 is the first scan of the file. `index` has gaps where scans are missing.
     """
 
     rate_hz: Rate
@@ -69,9 +68,10 @@ class Grid:
 def aligned(
     path: Path, abscissas: AnyMapping[str, Abscissa], found: AnyMapping[str, Real]
 ) -> tuple[Abscissa, dict[str, Real]]:
-    """Return common times for signals with different times, and the signals interpolated there by splines (`_spline`).
+    """Return common times for signals with different times, and the signals interpolated at the common times.
 
-    The common times are those of the signal with the smallest period, from the latest start to the earliest end of all.
+    The common times are those of the signal with the smallest period. They extend from the latest start to the earliest
+    end of all signals.
 
     Raises:
         ConfigError: a signal has neither times nor a rate, misses scans, or has fewer than 2 values. Or its times do
@@ -115,11 +115,10 @@ def _require_finite(path: Path, name: str, values: Real) -> None:
 
 
 def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
-    """Return the spline through values at increasing times.
+    """Return the interpolating spline through values at increasing times.
 
-    It has degree 5 at nearly uniform times (`REGULAR`), else degree 3, and a lower one for fewer values. At a sine of 8
-    values per cycle, a spline of degree 3 is too small by 6e-4 of the amplitude, and one of degree 5 only by 1e-5. At
-    times that are far from uniform, the higher degree amplifies noise.
+    Its degree is 5 at nearly uniform times, which is more accurate, and 3 otherwise, because degree 5 would amplify
+    noise there. With few values the degree is lower.
     """
     steps = np.diff(times)
     is_regular = bool(np.all(np.abs(steps / np.median(steps) - 1.0) < REGULAR))
@@ -127,9 +126,10 @@ def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
 
 
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
-    """Return the exact rate [Hz] that most likely underlies a measured one within its uncertainty.
+    """Return the exact rate [Hz] that most likely underlies a measured rate within its uncertainty.
 
-    A whole rate is an int, any other a float. It is the first of these that exists within the uncertainty:
+    A whole rate is an int, any other rate a float. The result is the first of these rates that exists within the
+    uncertainty:
 
     1. the only whole number there, or the whole number that equals the measured rate;
     2. a usual clock rate (`CLOCKS_HZ`) divided by a whole number;
@@ -157,7 +157,7 @@ def uniform(
     Args:
         path: the file, for messages.
         abscissa: times or rate in the file.
-        mapping: its rate takes precedence over the file's times.
+        mapping: mapping of the file; a rate in it takes precedence over the file's times.
         found: values by channel, shape (n,) each.
         followed: signals that give frequency or gap, shape (n,) each.
 
@@ -195,8 +195,8 @@ def uniform(
 def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tuple[Real | None, Rate | None]:
     """Return the listed times [s] or the rate [Hz] that applies, as (times, None) or (None, rate).
 
-    The rate of the mapping applies if it states one. Otherwise the rate that the file states applies, unless the file
-    also lists times that contradict it. Otherwise the listed times apply.
+    The rate of the mapping takes precedence, then the rate that the file states, then the listed times. A stated rate
+    does not apply if the listed times contradict it.
 
     Raises:
         ConfigError: neither times nor a rate are known, or the mapping's rate is out of range.
@@ -239,10 +239,10 @@ def _explained(abscissa: Abscissa) -> str:
 
 
 def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArray[np.int64]]:
-    """Return the scan rate [Hz] of times listed [s after the first], and each scan's number; missing ones leave gaps.
+    """Return the scan rate [Hz] of listed times [s after the first], and the number of each scan.
 
-    If the times are not uniform or scans are missing, but the signals will be `resampled`, the rate is that of the
-    median step, and the scans are numbered without gaps.
+    Missing scans leave gaps in the numbers. If the times are not uniform or scans are missing, but the signals will be
+    `resampled`, the rate is that of the median step, and the numbers have no gaps.
 
     Raises:
         ConfigError: a time is not finite, the times do not increase, or they are not uniform and not `resampled`.
@@ -289,9 +289,10 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
 
 
 def _without_holes(times: Real, rate: float, digit: float) -> float:
-    """Return the scan rate [Hz] of the longest stretch of times [s] without a missing scan; `rate` is a first guess.
+    """Return the scan rate [Hz] of the longest part of the times [s] without a missing scan.
 
-    `digit` is the value of the last digit with which the times are written [s], 0 if most steps are equal.
+    `rate` is a first estimate. `digit` is the value of the last digit with which the times are written [s], or 0 if
+    most steps are equal.
     """
     holes = np.flatnonzero(np.diff(times) > (1.5 + digit * rate) / rate) + 1
     cuts = [0, *holes.tolist(), len(times)]
@@ -304,7 +305,10 @@ def _without_holes(times: Real, rate: float, digit: float) -> float:
 
 
 def _mostly_equal(steps: Real) -> bool:
-    """Return whether over `MOSTLY` of the steps are equal; the others are then due to missing scans, not rounding."""
+    """Return whether more than the fraction `MOSTLY` of the steps is equal.
+
+    Different steps are then due to missing scans, not to rounding.
+    """
     middle = float(np.median(steps))
     return bool(np.mean(np.abs(steps - middle) <= 1e-6 * abs(middle)) > MOSTLY)
 
@@ -312,7 +316,7 @@ def _mostly_equal(steps: Real) -> bool:
 def last_digit(times: Real) -> float:
     """Return the value of the last decimal digit with which times are written [s], such as 0.001.
 
-    For times with more than `DECIMALS` decimals it is the spacing of single-precision numbers at the last time.
+    Times with more than `DECIMALS` decimals give the spacing of single-precision numbers at the last time.
     """
     for decimals in range(DECIMALS + 1):
         scaled = times * 10.0**decimals
@@ -325,11 +329,11 @@ def last_digit(times: Real) -> float:
 def _resampled(
     path: Path, times: Real, found: dict[str, Real], followed: dict[str, Real], exact: float, rate: int
 ) -> Grid:
-    """Return signals at the requested `rate` [Hz], by interpolation; `exact` is the scan rate of the file [Hz].
+    """Return the signals, interpolated at the requested `rate` [Hz].
 
-    Each stretch of times without a step of more than `HOLE` periods has a spline of its own, and nothing is
-    interpolated between stretches. A stretch of a single scan is dropped.
-    The signals in `followed` (frequency and gap) are not interpolated, but keep their value until the next one.
+    `exact` is the scan rate of the file [Hz]. Nothing is interpolated across missing scans (a step of more than `HOLE`
+    periods). A single scan between two such gaps is dropped. The signals in `followed` (frequency and gap) keep their
+    value until the next value.
 
     Raises:
         ConfigError: the requested rate is too high, or lower than that of the file, which would alias. Or a value is

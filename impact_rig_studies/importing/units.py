@@ -13,9 +13,9 @@
 # limitations under the License.
 """Conversion of units as instruments and programs print them.
 
-The ordinary SI units, with prefixes, products and powers, need no library. Everything else goes through `pint` (extra
-`impact_rig[import]`). The quantities are those of this package: displacement, velocity, acceleration, current, voltage,
-time and frequency.
+The ordinary SI units, with prefixes, products and powers, need no library. All other units are looked up with `pint`
+(extra `impact_rig[import]`). The quantities are those of this package: displacement, velocity, acceleration, current,
+voltage, time and frequency.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def unit_factor(unit: str, wanted: str) -> float | None:
 
 
 def quantity(unit: str) -> str | None:
-    """Return the SI unit of the quantity that `unit` measures: m, m/s, m/s^2, A, V, s or Hz; None for any other.
+    """Return the SI unit of the quantity that `unit` measures: m, m/s, m/s^2, A, V, s or Hz; None for other quantities.
 
     An angle per time, such as rad/s or rpm, is a frequency. A unit that only `pint` knows gives None if `pint` is not
     installed.
@@ -155,7 +155,7 @@ def quantity(unit: str) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a cell of a table's heading is a unit of any quantity, which distinguishes it from a name.
+    """Return whether a cell of a table's heading is a unit of any quantity.
 
     Units that only `pint` knows do not count.
     """
@@ -165,7 +165,7 @@ def is_unit(text: str) -> bool:
 
 
 def doubt(unit: str) -> str:
-    """Return which meaning of an ambiguous unit such as `G` is assumed, for the user; empty for any other unit."""
+    """Return, for the user, the assumed meaning of an ambiguous unit such as `G`; empty for other units."""
     return _DOUBTFUL.get(_bare(unit), "")
 
 
@@ -174,7 +174,7 @@ def _bare(unit: str) -> str:
 
 
 def _cycles_per_second(unit: str) -> float | None:
-    """Return the frequency [Hz] of one unit of an angle per time, such as `rad/s` or `rpm`; None for any other unit."""
+    """Return the frequency [Hz] of one unit of an angle per time, such as `rad/s` or `rpm`; None for other units."""
     text = re.sub(r"\s*(?:\bper\b|/|\bpro\b)\s*", "/", _bare(unit).lower().replace("rpm", "rev/min"))
     angle, _, time = text.partition("/")
     if angle not in _ANGULAR or (size := _parse(time)) is None or size.powers != _SECOND:
@@ -183,14 +183,14 @@ def _cycles_per_second(unit: str) -> float | None:
 
 
 def _plain(unit: str) -> str:
-    """Return a unit with its special characters replaced by ASCII: `m/s²` becomes `m/s^2`, `µm` or `㎛` `um`."""
+    """Return a unit with its special characters replaced by ASCII, such as `m/s²` by `m/s^2` or `µm` by `um`."""
     raised = _SUPERSCRIPT.sub(lambda match: "^" + match[0].translate(_SUPERSCRIPTS), unit)
     return unicodedata.normalize("NFKC", raised).translate(_OPERATORS)
 
 
 @functools.lru_cache(maxsize=1024)
 def _parse(unit: str) -> _Size | None:
-    """Return factor and exponents of a unit, with its products and powers; None if this module does not know it."""
+    """Return factor and exponents of a unit, which may have products and powers; None if it is unknown."""
     text = _bare(unit)
     if not text or len(text) > LONGEST_UNIT or _STRANGE.search(_plain(text)):
         return None
@@ -222,9 +222,9 @@ def _parse(unit: str) -> _Size | None:
 
 
 def _atom(word: str) -> _Size | None:
-    """Return factor and exponents of a unit without operators; None if it is unknown.
+    """Return factor and exponents of a single unit without operators; None if it is unknown.
 
-    SI units with a prefix take precedence over words, which may be in the plural.
+    SI units with a prefix take precedence over words. Words may be in the plural.
     """
     if word in _BASE:
         return _BASE[word]
@@ -258,7 +258,7 @@ def _by_pint(unit: str, wanted: str) -> float | None:
 
 
 class Sensitivity(NamedTuple):
-    """Sensitivity of a sensor: its output voltage `volts` per SI unit `unit` of the measured quantity."""
+    """Sensitivity of a sensor: its output voltage per unit of the measured quantity."""
 
     volts: float  # volts per SI unit
     unit: str  # SI unit of the quantity
@@ -267,10 +267,10 @@ class Sensitivity(NamedTuple):
     def parse(cls, text: str) -> Sensitivity | None:
         """Parse a sensitivity such as `500 mV/mm`, `10.2 mV/(m/s^2)` or `100 mV/g`.
 
-        Returns None if it is invalid or zero; it may be negative.
+        Returns None if the text is invalid or the sensitivity is zero. The sensitivity may be negative.
 
         Raises:
-            RecordingError: the unit of its voltage is known to `pint` at most, which is not installed.
+            RecordingError: `pint` would have to look up the unit of the voltage, but is not installed.
         """
         match = re.match(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^/]{1,40})/(.{1,40})$", text)
         if match is None:

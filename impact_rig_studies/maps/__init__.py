@@ -13,5 +13,5 @@
 # limitations under the License.
 """Maps: DT, regime and impacts of the settled motion on a grid of two or three parameters, and the best gap.
 
-They are computed from the simulated mechanics alone, without sensors, analysis of scans and noise, and are labelled so.
+Maps are computed from the simulated mechanics alone, without sensors, noise and analysis of scans.
 """

@@ -13,10 +13,10 @@
 # limitations under the License.
 """Largest Lyapunov exponent by the two-particle method: the mean rate at which neighbouring motions separate.
 
-A second motion starts at a small distance from the first. After each return to the section their distance is measured
-and reset to its initial size (Benettin, Galgani & Strelcyn 1976). No derivative is needed, so that the method also
-applies to impacts. The exponent is the mean over windows, each of several returns. Its standard uncertainty follows
-from the scatter of the windows, which count as independent: they must be longer than the memory of the motion.
+A second motion starts at a small distance from the first. After each return to the section of the motion, the distance
+is measured and reset to its initial size (Benettin, Galgani & Strelcyn 1976). No derivative is needed, so the method
+also applies to impacts. The exponent is the mean over windows of several returns. Its standard uncertainty follows from
+the scatter of the windows, which must be longer than the memory of the motion.
 
 G. Benettin, L. Galgani & J.-M. Strelcyn (1976), "Kolmogorov entropy and numerical experiments", Phys. Rev. A 14, 2338.
 """
@@ -42,7 +42,7 @@ With few windows the limit is higher, because their uncertainty is uncertain its
 
 
 class Exponent(NamedTuple):
-    """Largest Lyapunov exponent of a motion, per return (one step of the map `f`): positive for a chaotic motion."""
+    """Largest Lyapunov exponent of a motion, per return to the section; a positive value means a chaotic motion."""
 
     value: float  # mean over the windows; NaN if the sphere is in contact at `_OUT_OF_SIGHT` returns in a row
     uncertainty: float  # standard uncertainty of value, from the scatter of the windows; NaN with it
@@ -52,22 +52,23 @@ class Exponent(NamedTuple):
 def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int = 20) -> Exponent:
     """Return the largest Lyapunov exponent of the settled motion that starts at z.
 
+    The exponent is NaN if the sphere is in contact with a wall at `_OUT_OF_SIGHT` returns in a row.
+
     Args:
-        f: map of the motion: `f(z, count)` returns the coordinates `count` returns after z, or NaN if the state does
-            not determine the motion there, because the sphere is in contact with a wall. Such returns are skipped; the
-            exponent is NaN only after `_OUT_OF_SIGHT` of them in a row.
+        f: map of the motion: `f(z, count)` returns the coordinates `count` returns after z, or NaN if the sphere is in
+            contact with a wall there. Such returns are skipped.
         z: dimensionless coordinates at the section, shape (n,).
-        returns: number of returns in each window, more only if its last ones are skipped.
-        windows: number of averaged windows, at least 2; a further one before them lets the distance of the two states
-            turn into the direction of fastest growth.
+        returns: number of returns in each window. A window is longer if its last returns are skipped.
+        windows: number of averaged windows, at least 2. One more window precedes them and is not averaged.
     """
     return summary(list(itertools.islice(in_windows(f, z, returns), windows)))
 
 
 def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterator[float]:
-    """Yield the mean exponent per return in each window after the first, without end; arguments as for `largest`.
+    """Yield the mean exponent per return in one window after the other, without end.
 
-    If the sphere is in contact with a wall at `_OUT_OF_SIGHT` returns in a row, NaN is yielded, and then nothing more.
+    The first window is not yielded. The arguments are those of `largest`. If the sphere is in contact with a wall at
+    `_OUT_OF_SIGHT` returns in a row, NaN is yielded, and the iteration ends.
     """
     apart = np.full(len(z), APART / math.sqrt(len(z)))
     for number in itertools.count():
@@ -90,7 +91,7 @@ def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterato
 
 
 def summary(windows: list[float]) -> Exponent:
-    """Return the exponent of a motion from its mean exponents in two windows or more; NaN if the last one is NaN."""
+    """Return the exponent of a motion from its mean exponents in at least two windows; NaN if the last is NaN."""
     n = len(windows)
     if math.isnan(windows[-1]):
         return Exponent(math.nan, math.nan, ())
@@ -100,10 +101,10 @@ def summary(windows: list[float]) -> Exponent:
 
 
 def sign(windows: Iterable[float]) -> int:
-    """Return the sign of the exponent as soon as it is certain (`CERTAIN`): 1 or -1.
+    """Return the sign of the exponent, 1 or -1, or 0 if the sign is not certain or the exponent is NaN.
 
-    It is 0 if the sign is not certain even with the most windows in `CERTAIN`, or if the exponent is NaN. `windows` are
-    those of `in_windows`; no more are taken than needed.
+    `windows` are the results of `in_windows`. Windows are taken until the sign is certain, at most the largest number
+    in `CERTAIN`.
     """
     taken: list[float] = []
     for window in itertools.islice(windows, max(CERTAIN)):

@@ -13,19 +13,17 @@
 # limitations under the License.
 """Measurement of one point of a map on the simulated mechanics: DT, phase, impacts per cycle and regime once settled.
 
-The record has one row per cycle of the drive: the complex amplitudes of both bases at the drive frequency, and position
-and velocity of the sphere at the start of the cycle. A motion that approaches a periodic one has settled when the rest
-of its transient, estimated as a geometric series, is negligible (`analysis.convergence`), and still is some cycles
-later.
+The record has one row per drive cycle, with the complex amplitudes of both bases and the motion of the sphere. A motion
+that approaches a periodic motion has settled when the remaining transient is negligible (`analysis.convergence`).
 
 If a motion does not settle, `analysis.spread.classify` judges its regime by the amplitude of the superior base and the
-impacts. These may look periodic though the sphere moves chaotically. Therefore the largest Lyapunov exponent is
-measured too (see `exponent`), unless `classify` finds chaos and nothing repeats. If neighbouring motions separate,
-the motion is chaotic. If they approach one another, it may also repeat after more cycles than `classify` considers.
+impacts. These may look periodic though the sphere moves chaotically. Therefore the largest Lyapunov exponent is usually
+measured too (see `exponent`). If neighbouring motions separate, the motion is chaotic. If they approach one another, it
+may repeat after more cycles than `classify` considers.
 
 Near an unstable periodic orbit neighbouring motions separate as well. A motion that is still leaving such an orbit is
-therefore continued until it has left, and then measured again.
-Everything is deterministic, and starts either from a reset rig or from the state of the previous point.
+therefore continued until it has left, and then measured again. Everything is deterministic, and starts either from a
+reset rig or from the state of the previous point.
 """
 
 from __future__ import annotations
@@ -99,7 +97,10 @@ class Settings:
 
 
 class Reading(NamedTuple):
-    """Motion at one point of a map; X_1, X_b: complex drive-frequency amplitudes of superior and inferior base."""
+    """Properties of the motion at one point of a map, such as regime and DT.
+
+    X_1 and X_b are the complex amplitudes of the superior and the inferior base at the drive frequency.
+    """
 
     regime: str
     """Regime of the motion: periodic, modulated, chaotic, intermittent or `FAILED`.
@@ -122,7 +123,7 @@ NOTHING = Reading(FAILED, *[math.nan] * 10)  # reading of a point whose motion c
 
 
 class _Record(NamedTuple):
-    """Record of drive cycles: amplitudes of both bases in each, the sphere's motion at its start, and the impacts."""
+    """Record of drive cycles: amplitudes of both bases and motion of the sphere in each cycle, and the impacts."""
 
     cycles: NDArray[np.void]  # one row of dtype `fundamental.CYCLE` per cycle
     cycle: NDArray[np.int64]  # for each impact, the index of its cycle in the record
@@ -130,13 +131,13 @@ class _Record(NamedTuple):
     speed: NDArray[np.float64]  # approach speed of each impact [m/s]
 
     def last(self, n: int) -> _Record:
-        """Return a record of the last n cycles alone, or of all if there are fewer."""
+        """Return a record of the last n cycles, or of all cycles if there are fewer."""
         before = max(0, len(self.cycles) - n)
         first = int(self.cycle.searchsorted(before))  # impacts are in the order of time
         return _Record(self.cycles[before:], self.cycle[first:] - before, self.turn[first:], self.speed[first:])
 
     def then(self, other: _Record) -> _Record:
-        """Return one record of these cycles followed by those of `other`, which directly continues it."""
+        """Return one record of these cycles followed by the cycles of `other`, which must directly continue them."""
         return _Record(
             joined([self.cycles, other.cycles]),
             np.concatenate([self.cycle, other.cycle + len(self.cycles)]),
@@ -165,17 +166,17 @@ class MapRig:
     def change(self, config: RigConfig) -> None:
         """Continue with another configuration: both bases keep their motion, the sphere returns to its start.
 
-        If `config` is the present object, nothing changes.
+        If `config` is the same object as the current configuration, nothing changes.
         """
         if config is not self._config:
             self.simulation.configure(config)
             self._config = config
 
     def carry(self, config: RigConfig) -> None:
-        """Continue with another configuration: bases and sphere keep their motion, as for a slowly varied parameter.
+        """Continue with another configuration: both bases and the sphere keep their motion.
 
-        A sphere outside of the new gap is placed at the nearer wall. The motion of a sphere in contact with a wall
-        cannot be kept: it returns to its start, at rest.
+        A sphere outside of the new gap is placed at the nearer wall. A sphere in contact with a wall returns to its
+        start, at rest.
         """
         if config is self._config:
             return
@@ -190,8 +191,8 @@ class MapRig:
         """Put the rig to rest without a drive, with the sphere at a start.
 
         Args:
-            sphere: start position from the middle between the walls [m] and speed relative to them [m/s], both positive
-                to the right; None means the start `sphere.start` of the configuration, at rest.
+            sphere: start position from the middle between the walls [m] and speed relative to the walls [m/s], both
+                positive to the right. None means the start `sphere.start` of the configuration, at rest.
         """
         self.simulation.reset()
         if sphere is not None:
@@ -200,12 +201,10 @@ class MapRig:
         self._amplitude = 0.0
 
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
-        """Drive the rig with a sine from its present state until the motion has settled, and measure it.
+        """Drive the rig with a sine from its present state until the motion has settled, and measure the motion.
 
-        A motion that has not settled after `Settings.settle_cycles` is averaged over `Settings.cycles` drive cycles, or
-        over the last 2 · `CHUNK` if it appears periodic and neighbouring motions do not certainly separate. A motion
-        that is leaving an unstable orbit is first continued, up to `DEPARTURES` times. If the motion cannot be
-        simulated, the rig is reset, and the reading has the regime `FAILED`.
+        A motion that has not settled after `Settings.settle_cycles` is averaged over many drive cycles. If the motion
+        cannot be simulated, the rig is reset, and the reading has the regime `FAILED`.
 
         Args:
             frequency_hz: frequency of the drive.
@@ -228,9 +227,8 @@ class MapRig:
         """Continue the motion until it has settled or `settle_cycles` are over, then measure and classify it.
 
         Returns:
-            The reading, and whether the motion is leaving an unstable periodic orbit. If it is, call again to continue:
-            the Lyapunov exponent does not describe the motion that follows. The regime of the reading is then based
-            only on the amplitude of the superior base and the impacts.
+            The reading, and whether the motion is leaving an unstable periodic orbit. If it is leaving, call again to
+            continue the motion. The regime of the reading is then preliminary: the Lyapunov exponent is not used.
         """
         settings = self._settings
         record = self._run(frequency_hz, amplitude, _FIRST)
@@ -273,10 +271,10 @@ class MapRig:
         return _reading(last, behaviour, self._config, frequency_hz), leaving
 
     def _stays(self, frequency_hz: float, amplitude: float, record: _Record) -> bool:
-        """Return whether a motion that seems to have settled still seems so `_PART` cycles later; True without impacts.
+        """Return whether a motion that seems to have settled still seems so some cycles later.
 
-        A chaotic motion that varies by less than the tolerance seems to settle now and then. The result is also True if
-        the sphere is in contact now. The rig is returned to its present state after this check.
+        The check detects chaotic motions that seem settled for a short time. The result is True without a check if
+        there are no impacts or the sphere is in contact with a wall. The state of the rig is restored.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -289,8 +287,8 @@ class MapRig:
         """Return the sign of the largest Lyapunov exponent of the present motion.
 
         It is 1 if neighbouring motions certainly separate, -1 if they certainly approach one another, and otherwise 0.
-        It is also 0 for a `record` without impacts, or if the sphere is in contact. The rig is returned to its present
-        state afterwards. `frequency_hz` and `amplitude` are those of `run_cycles`, at which the record was made.
+        It is also 0 if `record` has no impacts, or if the sphere is in contact with a wall. `frequency_hz` and
+        `amplitude` describe the drive of the record. The state of the rig is restored.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -314,10 +312,7 @@ class MapRig:
         return found
 
     def _drifts(self, record: _Record) -> bool:
-        """Return whether a sphere that has not struck during a record will strike a wall within `NEAR_S` after it.
-
-        Between impacts the sphere keeps its velocity, and the walls move with the superior base by ±|X_1|.
-        """
+        """Return whether the sphere has not struck during a record, but will strike a wall within `NEAR_S` seconds."""
         if len(record.speed) or not self._config.sphere.present:
             return False
         place, velocity = float(record.cycles["x_2"][-1]), float(record.cycles["v_2"][-1])
@@ -327,8 +322,8 @@ class MapRig:
     def behaviour(self, frequency_hz: float, amplitude: float, cycles: int) -> Behaviour:
         """Advance by some drive cycles, and classify their motion as the analysis of a measurement does.
 
-        The classification uses only the amplitude of the superior base and the impacts. A chaotic motion can therefore
-        appear periodic, if its changes from cycle to cycle are small. Arguments and errors are those of `run_cycles`.
+        Only the amplitude of the superior base and the impacts are used, so a chaotic motion with small changes from
+        cycle to cycle may be classified as periodic. The arguments and errors are those of `run_cycles`.
         """
         return _behaviour(self._run(frequency_hz, amplitude, cycles), self._settings)
 
@@ -355,7 +350,7 @@ class MapRig:
         return self.simulation.advance(segments)
 
     def _run(self, frequency_hz: float, amplitude: float, cycles: int) -> _Record:
-        """Advance by whole drive cycles, and return their record; arguments and errors as for `run_cycles`."""
+        """Advance by whole drive cycles, and return their record; arguments and errors are those of `run_cycles`."""
         motion, period = self.run_cycles(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
         hits = motion.impacts
         cycle = np.maximum(hits["tick"] - motion.first_tick, 0)  # an impact that began earlier is reported now
@@ -363,11 +358,11 @@ class MapRig:
 
 
 def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | None:
-    """Return x_b, x_1, x_2 and v_2 of each cycle, divided by sizes of the motion, shape (4, cycles).
+    """Return the dimensionless motion of bases and sphere in each cycle, shape (4, cycles).
 
-    x_b and x_1 are the complex amplitudes of the bases, x_2 and v_2 the sphere's position and velocity at the start of
-    the cycle. x_b is divided by |X_b|, the magnitude of its mean over all cycles, and the other three by |X_1|, that of
-    x_1. The velocity is also divided by the drive frequency in rad/s. The result is None if X_b or X_1 is zero.
+    The rows are the complex amplitudes x_b and x_1 of the bases, and position and velocity of the sphere. They are
+    divided by the mean amplitudes of the bases; the velocity also by the drive frequency in rad/s. The result is None
+    if the mean of x_b or x_1 is zero.
     """
     series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
     base, superior = np.abs(series[:2].sum(axis=1)).tolist()
@@ -380,10 +375,8 @@ def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | No
 def _leaves(record: _Record, frequency_hz: float) -> bool:
     """Return whether a motion is leaving a periodic orbit: its changes from period to period are small, but growing.
 
-    The end of the record is divided into `_RISES` parts. The largest change must be larger in each part than in the one
-    before, and at most `_CLOSE` times the mean amplitude in the last one. The changes of a chaotic motion do not grow
-    steadily. While a motion leaves an orbit, neighbouring motions separate at the rate at which it leaves, although it
-    may settle later.
+    The end of the record is divided into `_RISES` parts. The largest change must be larger in each part than in the
+    part before. In the last part it must be at most `_CLOSE` times the mean amplitude.
     """
     series = _series(record.last(_RISES * CHUNK), frequency_hz)
     if series is None:
@@ -397,7 +390,7 @@ def _leaves(record: _Record, frequency_hz: float) -> bool:
 
 
 def _settled(record: _Record, frequency_hz: float, settings: Settings) -> int:
-    """Return the period of a settled motion in drive cycles, 0 if the motion has not settled (yet)."""
+    """Return the period of a settled motion in drive cycles; 0 if the motion has not settled."""
     rows = record.cycles.view(np.float64).reshape(len(record.cycles), -1)
     omega, longest = 2.0 * np.pi * frequency_hz, min(LONGEST_PERIOD, CHUNK // 4)
     tolerances = settings.settle_tolerance, settings.periodic_tolerance
@@ -405,10 +398,10 @@ def _settled(record: _Record, frequency_hz: float, settings: Settings) -> int:
 
 
 def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> int:
-    """Return the number of drive cycles, up to `LONGEST_LOOKED`, after which the motion repeats, or 0.
+    """Return the number of drive cycles after which the motion repeats; 0 if it does not repeat.
 
-    It is at most a third of the record. `classify` considers only short periods. Here x_1 and the sphere must repeat
-    within `periodic_tolerance`.
+    Periods up to `LONGEST_LOOKED` and up to a third of the record are considered. The superior base and the sphere must
+    repeat within `periodic_tolerance`.
     """
     series = np.array([record.cycles[name] for name in ("x_1", "x_2", "v_2")])
     superior = float(np.abs(series[0]).mean())
@@ -429,9 +422,9 @@ def _strong(record: _Record) -> NDArray[np.bool_]:
 
 
 def _strikes(record: _Record) -> NDArray[np.uint8]:
-    """Return 1 where a strong impact lies in a bin of a cycle's phase, else 0, shape (cycles, `PHASE_BINS`).
+    """Return an array of shape (cycles, `PHASE_BINS`): 1 for each phase bin of a cycle with a strong impact, else 0.
 
-    An impact is strong if its speed is at least `WEAK` times that of the fastest.
+    An impact is strong if its speed is at least `WEAK` times the speed of the fastest impact.
     """
     strikes, strong = np.zeros((len(record.cycles), PHASE_BINS), np.uint8), _strong(record)
     strikes[record.cycle[strong], (record.turn[strong] * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1

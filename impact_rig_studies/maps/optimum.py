@@ -14,8 +14,8 @@
 """Search for the value of one parameter, such as the gap, at which the sphere reduces the transmissibility DT most.
 
 The result includes the range of values that are nearly as good, and sensitivities to other constants of the rig. DT
-over the parameter jumps where the kind of motion changes, so that the search does not use slopes: it scans the whole
-range, and refines the scan around the best point.
+jumps where the kind of motion changes. Therefore the search uses no slopes: it scans the whole range, and refines the
+scan around the best point.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class Optimum:
     """
 
     def plain(self) -> dict[str, object]:
-        """Return the optimum as a dictionary for `map.json`, with all attributes but `reading`.
+        """Return the optimum as a dictionary for `map.json`.
 
-        Instead of `reading` it has four of its values: dt, regime, reduction_percent and impacts_per_cycle.
+        It has all attributes, but instead of `reading` its values dt, regime, reduction_percent and impacts_per_cycle.
         """
         return {
             "over": self.over, "value": self.value, "reduction_percent": self.reading.reduction_percent,
@@ -73,12 +73,13 @@ class Optimum:
 def find(plan: MapPlan, search: Search) -> Optimum:
     """Find the value of a parameter at which DT is reduced most, by simulating points of its range.
 
-    A failed point counts as worse than all others. If all points fail, the result has the lowest value, with NaN.
+    A failed point counts as worse than all other points. If all points fail, the result is the lowest value, with NaN
+    as its reduction.
 
     Args:
         plan: plan of a map, of which only rig, frequency, current and settings are used. Each point is measured from a
             reset rig.
-        search: name of the parameter, its range, and the number of points of the first, coarse pass over it.
+        search: name of the parameter, its range, and the number of points of the first, coarse pass over the range.
     """
     known: dict[float, Reading] = {}
 
@@ -125,13 +126,13 @@ def _best(known: dict[float, Reading]) -> float:
 
 
 def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: float) -> list[Reading]:
-    """Measure points one after the other at some values of `over`, each from a reset rig; return them in this order.
+    """Measure points at some values of `over`, each from a reset rig, and return the readings in the same order.
 
     Args:
         plan: plan of the map, with all other values.
         over: name of the varied parameter.
-        values: its values.
-        **changed: values that replace those of the plan, by name; one of `over` is ignored.
+        values: values of this parameter.
+        **changed: values that replace those of the plan, by name. A value for `over` is ignored.
     """
     return measure_line(plan.line(over, values, {name: one for name, one in changed.items() if name != over}))
 
@@ -169,8 +170,8 @@ def from_map(reductions: Sequence[float], values: Sequence[float]) -> tuple[floa
         values: values of the parameter, in the same order.
 
     Returns:
-        The value with the largest reduction, and the smallest and largest of the values contiguous with it whose
-        reductions are within `REGION_POINTS` of it.
+        The value with the largest reduction, and the ends of the contiguous range of values around it. In this range,
+        the reduction is at most `REGION_POINTS` (percentage points) below the largest reduction.
 
     Raises:
         ValueError: all reductions are NaN.

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Plan of a map: read and validate its YAML file, divide it into lines of points, and measure a line.
 
-The file has two or three axes; all other values are fixed. A wrong file is rejected before anything runs; the message
-names key, value, range and file. A map that would take too long is rejected with its estimated time.
+The file has two or three axes; all other values are fixed. An invalid file is rejected before anything runs. A map that
+would take too long is rejected with its estimated time.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ LIMIT_S = 3600.0  # estimated time above which a map is rejected
 class MapLine(HashedTask):
     """Line of a map: its points along one axis, which are measured one after the other and stored together.
 
-    A stored line is not measured again. It contains every value that determines its results, so that its hash
+    A stored line is not measured again. The line contains every value that determines its results, so its hash
     identifies them.
     """
 
@@ -87,10 +87,7 @@ class MapLine(HashedTask):
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
 
     def describe(self) -> str:
-        """Return the values in `held` and how the points of the line start as text, for progress messages.
-
-        The latter is `reset`, `up`, `down`, or the start of the sphere.
-        """
+        """Return a text for progress messages: the fixed values of the line, and how its points start."""
         held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
         return f"{held}, {self.direction}"
 
@@ -99,7 +96,7 @@ class MapLine(HashedTask):
 
         Raises:
             ValueError: the number of rows is wrong, or a row is not a valid reading. `TaskStore.get` then counts the
-                line as not measured, so that the next run measures it again.
+                line as not measured.
         """
         if len(rows) != len(self.values):
             raise ValueError(f"it holds {len(rows)} readings of a line of the map that has {len(self.values)} points")
@@ -110,9 +107,9 @@ class MapLine(HashedTask):
 
         Returns:
             Configuration values that axes set, by dotted name, in addition to `changes`. Then frequency [Hz] and
-            amplitude (A, m or V by `drive.kind`) of the drive, and the sphere's initial position [m] and speed [m/s].
-            The last is None if no axis sets them; then `sphere.start` applies. If only one of the two is an axis, the
-            other is 0.
+            amplitude (A, m or V by `drive.kind`) of the drive. Last, the sphere's initial position [m] and speed [m/s].
+            If only one of these is an axis, the other is 0. If none is an axis, None is returned, and `sphere.start`
+            applies.
         """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
@@ -133,7 +130,7 @@ def _reading(row: Row) -> Reading:
 def measure_line(line: MapLine) -> list[Reading]:
     """Measure the points of a line by simulation, and return their readings in the order of `line.values`.
 
-    How each point starts depends on `line.direction`. A point whose motion cannot be simulated has the regime `failed`.
+    `line.direction` determines how each point starts. A point whose motion cannot be simulated has the regime `failed`.
     """
     base = from_flat(RigConfig(), line.changes)
     rig: MapRig | None = None
@@ -152,7 +149,7 @@ def measure_line(line: MapLine) -> list[Reading]:
 
 @attrs.frozen(kw_only=True)
 class Search:
-    """Range in which a map searches for the value of one parameter that reduces DT most: the key `optimum`."""
+    """Search for the value of one parameter that reduces DT most: parameter and range (key `optimum` of the file)."""
 
     over: str  # name of the parameter
     low: float  # lower end of the range
@@ -188,7 +185,7 @@ class MapPlan:
 
     @property
     def points(self) -> int:
-        """Number of points to measure: grid points times `layers`, without those of a search for the optimum."""
+        """Number of points to measure: grid points times number of `layers`, without a search for the optimum."""
         return len(self.layers) * math.prod(map(len, self.axes.values()))
 
     @functools.cached_property
@@ -203,10 +200,11 @@ class MapPlan:
 
         Args:
             along: name of the axis along the line, or of the parameter that is searched for.
-            values: its ascending values.
+            values: ascending values of this axis.
             held: values that replace those of the plan, by name of axis; None means none.
-            layer: one of `layers`: `up`, `down` (only then the points run from the last of `values` to the first),
-                `reset` or a start of the sphere (for both, each point starts from rest).
+            layer: how the points start, one of `layers`. With `down` the points run from the last of `values` to the
+                first, otherwise from the first to the last. With `reset` or a start of the sphere, each point starts
+                from rest.
         """
         return MapLine(
             changes={**self.changes, "sphere.start": layer} if layer in STARTS else self.changes,
@@ -220,9 +218,9 @@ class MapPlan:
         )
 
     def lines(self) -> list[MapLine]:
-        """Return all lines of the map, one of `layers` after the other; each line runs along the axis `sweep`.
+        """Return all lines of the map; each line runs along the axis `sweep`.
 
-        A layer is a direction, or a start of the sphere.
+        The lines of one layer follow those of another. A layer is a direction, or a start of the sphere.
         """
         others = {name: values for name, values in self.axes.items() if name != self.sweep}
         return [
@@ -237,10 +235,10 @@ def allow_time(points: int, workers: int | None = None) -> None:
 
     Args:
         points: number of points.
-        workers: number of cores that share them; None means all that this process may use.
+        workers: number of cores that share the points; None means all that this process may use.
 
     Raises:
-        BudgetError: names the points, the time they would take and how to raise the limit.
+        BudgetError: the map would take too long. The message states how to raise the limit.
     """
     cores = workers or len(os.sched_getaffinity(0))
     seconds, limit = points * POINT_S / cores, LIMIT_S * budget.factor()
@@ -263,7 +261,7 @@ def load_map(path: str | Path, workers: int | None = None, resolved: RigConfig |
             computing time is not checked.
 
     Raises:
-        ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
+        ConfigError: the file cannot be read or is invalid; the message names key, value, range and file.
         BudgetError: the map would take too long.
     """
     file = Path(path)
@@ -352,14 +350,16 @@ def _check_axis(key: str, name: str) -> None:
 
 
 def refuse_owned(key: str, name: str) -> None:
-    """Reject a configuration value that a map or dynamics study cannot set: one without effect, or with its own key.
+    """Reject a configuration value that a map or dynamics study must not set in this way.
+
+    Such a value has no effect, or must be set by another key.
 
     Args:
-        key: key of the file that contains the name, for the message; beginning with `set.` or `axes.` for these parts.
+        key: key of the file that contains the name, for the message. It begins with `set.` or `axes.` in these parts.
         name: dotted name of the value.
 
     Raises:
-        ConfigError: names the key, and the key to use instead if there is one.
+        ConfigError: the value is rejected. The message names the key, and the key to use instead if there is one.
     """
     if name == "sphere.start" and key.startswith("axes."):
         raise ConfigError(
@@ -376,10 +376,10 @@ def refuse_owned(key: str, name: str) -> None:
 
 
 def _check_corners(plan: MapPlan) -> None:
-    """Reject a map before it runs if the points at the ends of its first and last line, or of its search, are invalid.
+    """Reject a map with invalid points at the ends of its first line, its last line, or its search for the optimum.
 
     Raises:
-        ConfigError: names the value and its range.
+        ConfigError: a point is invalid; the message names the value and its range.
     """
     lines = plan.lines()
     ends = lines[:: max(1, len(lines) - 1)]

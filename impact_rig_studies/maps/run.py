@@ -46,7 +46,7 @@ CSV_FILE, JSON_FILE = "map.csv", "map.json"
 
 @attrs.frozen(eq=False, kw_only=True)
 class FinishedMap:
-    """Map with the results that are stored in its output directory, possibly not of all points."""
+    """Map with the results that are stored in its output directory; points may be missing."""
 
     plan: MapPlan  # definition of the map
     directory: Path  # output directory
@@ -58,7 +58,9 @@ class FinishedMap:
     """
 
     def to_dataframe(self) -> Any:
-        """Return the stored results as a `pandas.DataFrame`: rows and columns of `map.csv`, with failed points.
+        """Return the stored results as a `pandas.DataFrame` with the rows and columns of `map.csv`.
+
+        Failed points are included.
 
         Raises:
             ImpactRigError: pandas is not installed, or no point is measured yet.
@@ -69,7 +71,7 @@ class FinishedMap:
         """Return the map as an `xarray.Dataset` whose dimensions are its axes and `direction`.
 
         If the plan lists starts of the sphere, the last dimension is `start` instead of `direction`. Points that are
-        not measured are NaN, or empty in columns of text. Values of an axis without any measured point are missing.
+        not measured are NaN, or empty for texts. Values of an axis without any measured point are left out.
 
         Raises:
             ImpactRigError: xarray is not installed, or no point is measured yet.
@@ -80,15 +82,15 @@ class FinishedMap:
 
 
 def store(directory: str | Path) -> TaskStore[MapLine]:
-    """Return the store of a map's measured lines in its output directory; this call creates no files."""
+    """Return the store of a map's measured lines in its output directory, without creating files."""
     return TaskStore(Path(directory), "map", "lines", ("maps",))
 
 
 def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
     """Return a map with the results that are already stored in its output directory.
 
-    Missing points are NaN ("" for the regime). Damaged results, and those of other versions of the code, count as
-    missing.
+    Points without valid results are NaN ("" for the regime). Damaged results, and results of other versions of the
+    code, are not valid.
     """
     kept = store(directory)
     shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
@@ -110,13 +112,13 @@ def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
 
 
 def open_map(directory: str | Path) -> FinishedMap:
-    """Read a map with its stored results from the output directory of `impact-rig map`; nothing is simulated.
+    """Read a map with its stored results from the output directory of `impact-rig map`, without simulating anything.
 
-    Points that are not measured yet, whose results are damaged, or that another version of the code measured, are
-    NaN ("" for the regime).
+    Points without valid results are NaN ("" for the regime). Damaged results, and results of other versions of the
+    code, are not valid.
 
     Raises:
-        ConfigError: the directory is not that of a map, or its plan or configuration is invalid.
+        ConfigError: the directory contains no map, or the plan or configuration of the map is invalid.
     """
     kept = store(directory)
     return finished(load_map(kept.file, resolved=kept.configuration()), directory)
@@ -139,21 +141,21 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
 
 def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
-    """Return a map as a table: the names of its columns, and one row per layer and point that was simulated.
+    """Return a map as a table: the names of its columns, and one row for each simulated point of each layer.
 
-    A layer is a direction or a start of the sphere. Points whose motion could not be simulated have a row as well, with
-    the regime `failed`. The columns are the axes, `direction` (up, down or reset), `start` (start of the sphere, unless
-    an axis sets it), and the fields of `Reading`.
+    A layer is a direction or a start of the sphere. Points whose motion could not be simulated have a row with the
+    regime `failed`. The columns are the axes, `direction` (up, down or reset), `start` (start of the sphere, unless an
+    axis sets it), and the fields of `Reading`.
     """
     first = next(iter(done.values))
     return [*done.plan.axes, *_layer(done.plan, first), *done.values[first]], list(_rows(done))
 
 
 def _layer(plan: MapPlan, layer: str) -> dict[str, str]:
-    """Return the values of the columns `direction` and, unless an axis sets it, `start` for a layer of a map.
+    """Return the values of the columns `direction` and `start` for a layer of a map.
 
-    A layer is a direction or a start of the sphere, see `MapPlan.layers`. The `start` of a direction is that of the
-    plan's rig, and the `direction` of a start is reset.
+    A layer is a direction or a start of the sphere, see `MapPlan.layers`. A direction has the `start` of the plan's
+    rig, and a start has the `direction` reset. The column `start` is left out if an axis sets the start of the sphere.
     """
     found = {"direction": layer if layer in (UP, DOWN) else RESET}
     if not {POSITION, SPEED} & set(plan.axes):

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Operators of a rig: they set the drive, wait until it is applied and the response has settled, measure, and repeat.
+"""Operators of a rig: they set the drive, wait until the drive is applied and the response has settled, and measure.
 
 `stepped_sine` and `phase_lock` decide the next setpoint (frequency and current), without access to a rig or ROS.
-`operator` applies it and returns the events of the rig to them: in a loop that drives a rig of `impact_rig.driver` (in
-this process or over ROS topics), or from the callbacks of a node.
+`operator` applies the setpoint and passes events of the rig to them. It runs in a loop that drives a rig of
+`impact_rig.driver`, or in the callbacks of a node.
 """

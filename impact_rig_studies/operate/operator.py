@@ -14,8 +14,7 @@
 """Connection of a controller run (`SteppedSine` or `LockedSine`) to the drive of a rig.
 
 `Operator` passes events of the rig to the run, and sets the drive to the setpoints that the run requests. A node calls
-it from its callbacks. `operate` is a complete loop around it, which also advances the rig and its analysis block by
-block, for campaigns and the demo.
+`Operator` from its callbacks. `operate` is a complete loop around it, which also advances the rig and its analysis.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ OnUpdate = Callable[[SteppedSine], None]  # receives the sweep at its start and 
 
 @attrs.frozen
 class Applied:
-    """Frequency and current of the drive after a change that the rig has accepted and applied, with its rig time."""
+    """Frequency and current of the drive after a change that the rig has applied, with the rig time of the change."""
 
     setpoint: Setpoint  # frequency and current from that time on
     at_ns: int  # rig time of the change
@@ -84,8 +83,8 @@ class Operator(Generic[R]):
 
     Args:
         run: controller run, which decides the next setpoint and keeps the measurements.
-        drive: function that sets frequency and current of the rig. When the run finishes or is aborted, it is called a
-            last time, with zero current; `busy` is then already False.
+        drive: function that sets frequency and current of the rig. When the run ends, it is called a last time, with
+            zero current; `busy` is then already False.
         on_update: function that receives the run at its start, and after each update with new measurements.
     """
 
@@ -111,7 +110,7 @@ class Operator(Generic[R]):
     def handle(self, update: Update) -> None:
         """Pass the events of an update to the run one after the other, and set the drive to each requested setpoint.
 
-        `on_update` is called once if the run has accepted at least one measurement of this update.
+        `on_update` is called once if the run has accepted a measurement of this update.
         """
         run, measured = self.run, self.run.measured
         for applied in update.applied:
@@ -127,7 +126,7 @@ class Operator(Generic[R]):
         self._follow(run.on_time(update.now_ns))
 
     def abort(self, reason: str) -> None:
-        """End a run in progress as aborted, and set the current of the drive to zero; without one do nothing.
+        """Abort the run, and set the current of the drive to zero; do nothing if no run is in progress.
 
         Args:
             reason: reason for the user, which becomes `run.reason`.
@@ -144,9 +143,10 @@ def ignore(_sweep: SteppedSine) -> None:
 
 
 def operate(sweep: SteppedSine, rig: RigDriver, on_update: OnUpdate = ignore) -> None:
-    """Run a complete sweep on a rig until it has finished or is aborted; see `sweep.state` and `sweep.reason` then.
+    """Run a complete sweep on a rig until the sweep has finished or is aborted.
 
-    At the end, the current is not set to zero: the drive keeps its last setpoint, unless the shaker was stopped.
+    Afterwards, `sweep.state` and `sweep.reason` describe the end. The drive keeps its last setpoint, unless the shaker
+    was stopped.
 
     Args:
         sweep: the sweep, which decides the next setpoint and keeps the measurements.

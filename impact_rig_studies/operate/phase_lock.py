@@ -13,25 +13,27 @@
 # limitations under the License.
 """Phase lock: a state machine that searches for the resonance, tracks it, and stays there (dwell).
 
-At the resonance the phase φ of the superior base relative to a reference (the inferior base, or the current) is −90°.
+At the resonance, the phase φ of the superior base relative to a reference is −90°. The reference is the inferior base
+or the current.
 
     idle ── start ──► seeking ── phase crosses −90° ──► tracking ⇄ locked ── dwell time over ──► finished
                          └─────────── time or amplitude limit, stop ┴──────────────────────────► aborted
 
-Seeking steps the frequency coarsely in the direction indicated by the phase, until the phase has crossed −90°. Tracking
-then corrects the frequency at each sample by a part of the detuning (resonance minus drive frequency): an integral
-controller. With the inferior base as reference, the detuning is known for any damping: T = X_1/X_b, superior over
-inferior base, fulfils 1/T = 1 − r² + 2iζr with r = f/f_n, so the detuning is f/2 Re(X_b/X_1). With the current as
-reference, it is tan φ' (φ' = φ + 90°) times the slope of the resonance. The search has measured this slope, and
-tracking corrects it: the slope was too large if the detuning changes sign from sample to sample, and too small if it
-keeps its sign.
+Seeking steps the frequency in the direction indicated by the phase, until the phase has crossed −90°. Tracking then
+corrects the frequency at each sample by a part of the detuning (resonance minus drive frequency), like an integral
+controller.
 
-A sample (`PhasorMeter`) is faster than a settled measurement: the scans of the last whole cycles at constant frequency
-are fitted by a sine, and corrected for skew and lag of the sensors by their calibration certificate.
+If the inferior base is the reference, the detuning is known for any damping. The ratio T = X_1/X_b of superior to
+inferior base fulfils 1/T = 1 − r² + 2iζr with r = f/f_n, so the detuning is f/2 Re(X_b/X_1). If the current is the
+reference, the detuning is tan φ' (φ' = φ + 90°) times the slope of the resonance. The search measures this slope, and
+tracking corrects it.
 
-`LockedSine` is the lock for an `Operator`, which passes events of a rig to it. A program that drives a rig itself uses
-`LockLoop` with `run_phase_lock` or `follow`, and `measure_backbone` for the backbone curve, which is the resonance
-frequency over the amplitude.
+A sample (`PhasorMeter`) is faster than a settled measurement. It is a sine fit to the scans of the last whole cycles at
+constant frequency. The calibration certificate corrects skew and lag of the sensors.
+
+`LockedSine` is the lock for an `Operator`, which passes events of a rig to the lock. A program that drives a rig itself
+uses `LockLoop` with `run_phase_lock` or `follow`. `measure_backbone` measures the backbone curve, which is the
+resonance frequency over the amplitude.
 """
 
 from __future__ import annotations
@@ -64,8 +66,7 @@ MIN_CYCLES = 2  # smallest number of drive cycles in a sample
 class Sample(NamedTuple):
     """Sample of the motion: complex amplitudes at the drive frequency, from the consecutive scans of some cycles.
 
-    All phases of a sample have the same origin, which is arbitrary and differs between samples, so that only their
-    differences are meaningful.
+    Only phase differences within one sample are meaningful. The common origin of its phases is arbitrary.
     """
 
     end_ns: int  # rig time of the end of its scans
@@ -77,7 +78,10 @@ class Sample(NamedTuple):
 
     @property
     def dt(self) -> float:
-        """Transmissibility: amplitude of the superior base over that of the inferior base, which must not be 0."""
+        """Transmissibility: amplitude of the superior base divided by the amplitude of the inferior base.
+
+        The amplitude of the inferior base must not be 0.
+        """
         return abs(self.superior) / abs(self.base)
 
     @property
@@ -97,11 +101,14 @@ class PhasorMeter:
         self._calibration = Calibration.from_info(info)
 
     def sample(self, rows: NDArray[np.void], frequency_hz: float, end_ns: int) -> Sample | None:
-        """Return the complex amplitudes in the last whole drive cycles of some scans; None for less than `MIN_CYCLES`.
+        """Return the calibrated complex amplitudes at the drive frequency, from consecutive scans.
+
+        Only the last whole drive cycles of the scans are used. Returns None if the scans contain fewer than
+        `MIN_CYCLES` drive cycles.
 
         Args:
             rows: consecutive rows of `daq/scan`, shape (n,).
-            frequency_hz: frequency of the drive during all of them.
+            frequency_hz: frequency of the drive during all these rows.
             end_ns: rig time of the scan after the last one.
         """
         period = self._calibration.rate_hz / frequency_hz
@@ -142,9 +149,10 @@ The phase is that of the superior base relative to the reference of the lock.
 
 
 class Stage(enum.StrEnum):
-    """Stage of a running phase lock: coarse search, correction of the frequency, and correction with a locked phase.
+    """Stage of a running phase lock: coarse search, tracking, or locked.
 
-    The phase is locked if its mean over `MEAN_S` is within the plan's `within_deg` of −90°.
+    The frequency is corrected while tracking and while locked. The phase is locked if its mean over `MEAN_S` of rig
+    time is within the plan's `within_deg` of −90°.
     """
 
     SEEKING = "seeking"
@@ -199,7 +207,7 @@ class PhaseLock:
         return np.array(self._rows, PHASE_LOCK)
 
     def rows_from(self, first: int) -> NDArray[np.void]:
-        """Return the samples from the one with index `first` on, as `rows`; a negative index counts from the end."""
+        """Return the samples from index `first` on, like `rows`; a negative index counts from the end."""
         return np.array(self._rows[first:], PHASE_LOCK)
 
     @property
@@ -208,25 +216,27 @@ class PhaseLock:
         return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start the search at a rig time, and return its first setpoint; a lock must not be started a second time."""
+        """Start the search at rig time `now_ns` [ns], and return the first setpoint; call this only once."""
         self._began_ns = self._held_ns = now_ns
         self.state = SweepState.RUNNING
         return self._setpoint()
 
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
-        """Continue with tracking, or with an unfinished search, at another peak current, and return the setpoint.
+        """Change the peak current of the lock at rig time `now_ns` [ns], and return the new setpoint.
 
-        From `now_ns` on, the phase may take the plan's `lose_limit_s` to lock again, or `seek_limit_s` if it has never
-        been locked; after that the lock is aborted. If the lock is not running, the setpoint has zero current.
+        The lock continues with tracking, or with an unfinished search. It is aborted if it does not lock again within
+        the plan's `lose_limit_s`, or within `seek_limit_s` if it has never been locked. If the lock is not running, the
+        setpoint has zero current.
         """
         self.current_a = current_a
         self.unlock(now_ns)
         return self._setpoint()
 
     def unlock(self, now_ns: int) -> None:
-        """Continue with tracking, or with an unfinished search, after a setting of the rig has changed at a rig time.
+        """Leave the locked stage, because a setting of the rig has changed at rig time `now_ns` [ns].
 
-        The time limit for a lock starts again, and earlier samples no longer count for the mean phase.
+        Tracking, or an unfinished search, continues. The time limit for a lock starts again. Earlier samples no longer
+        count for the mean phase.
         """
         if self.stage is Stage.LOCKED:
             self.stage = Stage.TRACKING
@@ -262,7 +272,9 @@ class PhaseLock:
         return self._setpoint()
 
     def abort(self, reason: str) -> Setpoint:
-        """End the lock as aborted if it is running, and return the setpoint; its current is then zero in any case.
+        """End a running lock as aborted, and return a setpoint with zero current.
+
+        If the lock is not running, its state stays the same.
 
         Args:
             reason: reason for the user, which becomes `reason`.
@@ -302,13 +314,14 @@ class PhaseLock:
             self.stage = Stage.TRACKING
 
     def _detuning_hz(self, turned: complex) -> float:
-        """Return an estimate of resonance − present frequency [Hz], limited to ± one step of the search.
+        """Estimate the detuning: resonance frequency minus drive frequency [Hz].
 
-        With the current as reference, this also corrects the slope of the resonance.
+        The estimate is limited to ± one step of the search. If the current is the reference, this method also corrects
+        the slope of the resonance.
 
         Args:
-            turned: complex amplitude of the superior base over that of the reference; at the resonance its phase is
-                −90°.
+            turned: complex amplitude of the superior base over that of the reference; its phase is −90° at the
+                resonance.
         """
         if self._plan.reference == Reference.BASE:
             detuning = 0.5 * self.frequency_hz * (1.0 / turned).real
@@ -320,12 +333,12 @@ class PhaseLock:
         return min(max(detuning, -self._plan.step_hz), self._plan.step_hz)
 
     def _adapt(self, detuned: float) -> None:
-        """Correct the slope of a lock whose reference is the current, from the signs of successive detunings.
+        """Correct the slope of the resonance from the signs of successive detunings.
 
-        The slope is in Hz per tan φ', with φ' = phase of the superior base relative to the current + 90°.
+        A change of sign makes the slope smaller. `SLUGGISH` detunings with the same sign make it larger.
 
         Args:
-            detuned: tan φ' of the newest sample.
+            detuned: newest detuning as tan φ', with φ' = phase of the superior base relative to the current + 90°.
         """
         if self._signs * detuned < 0.0:
             self._slope *= SMALLER
@@ -365,9 +378,9 @@ class PhaseLock:
 
 
 def _turn_from_quarter(turned: complex) -> float:
-    """Return φ' = phase of `turned` + 90° in radians, in (−π, π]; it is 0 at the resonance.
+    """Return the phase of `turned` + 90° in radians, in (−π, π]; it is 0 at the resonance.
 
-    `turned` is the complex amplitude of the superior base over that of the lock's reference (inferior base or current).
+    `turned` is the complex amplitude of the superior base over that of the reference (inferior base or current).
     """
     return cmath.phase(turned * 1j)
 
@@ -375,8 +388,8 @@ def _turn_from_quarter(turned: complex) -> float:
 def _detuning(turned: complex) -> float:
     """Return tan φ', limited to ±`STEEPEST`; it is positive if the resonance is above the drive frequency.
 
-    Multiplied by the slope of the resonance [Hz per tan φ'], it is the detuning: resonance minus drive frequency [Hz].
-    `turned` is that of `_turn_from_quarter`.
+    φ' is the phase of `turned` + 90°. `turned` is the complex amplitude of the superior base over that of the
+    reference.
     """
     angle = _turn_from_quarter(turned)
     if abs(angle) >= math.atan(STEEPEST):
@@ -385,18 +398,18 @@ def _detuning(turned: complex) -> float:
 
 
 class LockedSine:
-    """Phase lock as a controller run of an `Operator`: it processes events of the rig, and makes samples from scans.
+    """Phase lock for an `Operator`: it processes events of the rig, and makes samples from scans.
 
     Each `on_…` method returns the next setpoint of the drive, or None if the drive stays as it is.
 
     Args:
         plan: range, speeds and limits of the search and of the lock.
         info: rows of `daq/info`, with the calibration and the scan rate.
-        accept_limit_s: rig time that the rig may take to accept a command, and then between two blocks of scans; the
-            lock is aborted if one of them takes longer.
+        accept_limit_s: longest rig time until the rig accepts a command, and between two blocks of scans; the lock is
+            aborted after a longer time.
 
     Attributes:
-        measured: number of samples so far, also one that aborted the lock and is missing in `rows`.
+        measured: number of samples so far, including a sample that aborted the lock.
     """
 
     def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float) -> None:
@@ -428,7 +441,7 @@ class LockedSine:
         return self._lock.rows
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
-        """Return the samples from the one with index `first` on, as rows of `blocks.SWEEP`."""
+        """Return the samples from index `first` on, as rows of `blocks.SWEEP`."""
         found = sweep_rows(self._lock.rows_from(first))
         found["status"] = Status.OK.value
         return found
@@ -436,7 +449,7 @@ class LockedSine:
     def describe(self) -> str:
         """Return the progress of the lock as text for the user, such as "tracking at 9.1 Hz".
 
-        It is "idle" or "aborted" for such a lock, without the `reason`.
+        If the lock is idle or aborted, the text is only "idle" or "aborted", without the `reason`.
         """
         at = f"{self._lock.frequency_hz:.6g} Hz"
         running, finished = f"{self._lock.stage} at {at}", f"finished, the resonance is at {at}"
@@ -453,15 +466,15 @@ class LockedSine:
         return {"samples": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start the search at a rig time, and return its first setpoint; a lock must not be started a second time."""
+        """Start the search at rig time `now_ns` [ns], and return the first setpoint; call this only once."""
         return self._ask(self._lock.start(now_ns), now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
-        """Process a change of the drive that the rig has accepted at a rig time.
+        """Process a change of the drive that the rig has accepted at rig time `now_ns` [ns].
 
-        Once the requested setpoint is accepted, later scans count for the sample. A different setpoint after that must
-        come from another client, and aborts the lock. Before that, different setpoints are ignored, because frequency
-        and current are applied one after the other. Returns the setpoint with zero current after an abort, else None.
+        Scans count for the next sample once the rig has accepted the requested setpoint. A different setpoint after
+        that aborts the lock, because another client must have commanded it. A different setpoint before that is
+        ignored. Returns the setpoint with zero current after an abort, else None.
         """
         if self.state is not SweepState.RUNNING:
             return None
@@ -484,10 +497,10 @@ class LockedSine:
         return None
 
     def on_scans(self, table: Table) -> Setpoint | None:
-        """Process a block of `daq/scan`; return the next setpoint if a sample is complete and the setpoint changes.
+        """Process a block of `daq/scan`, and return the next setpoint if the drive must change, else None.
 
-        Scans from before the present setpoint was accepted do not count. After missing scans, the collection of scans
-        for the sample starts again.
+        The setpoint can change when a sample is complete. Scans from before the rig accepted the present setpoint do
+        not count. Missing scans restart the sample.
         """
         rows, step_ns = table.rows, NS_PER_S / self._rate_hz
         if self.state is not SweepState.RUNNING or self._since_ns is None or not len(rows):
@@ -510,9 +523,9 @@ class LockedSine:
         return self._ask(setpoint, self._end_ns)
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the present rig time: abort the lock if its command was not accepted, or no scans arrived, in time.
+        """Abort the lock if its command was not accepted, or no scans arrived, within `accept_limit_s`.
 
-        The limit for both is `accept_limit_s`. Returns the setpoint with zero current after an abort, else None.
+        `now_ns` is the present rig time [ns]. Returns the setpoint with zero current after an abort, else None.
         """
         if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
             return None
@@ -552,7 +565,9 @@ def with_short_blocks(config: RigConfig) -> RigConfig:
 
 
 class LockLoop:
-    """Rig that a program drives through a phase lock: it sets the drive and takes samples; time advances in `sample`.
+    """Drive and measurement of a rig for a phase lock, in a program that drives the rig itself.
+
+    `set` commands the drive. `sample` advances the rig time and measures.
 
     Args:
         rig: the rig; its blocks of scans must be short compared with a sample, see `with_short_blocks`.
@@ -568,10 +583,10 @@ class LockLoop:
         return self.rig.now_ns
 
     def set(self, setpoint: Setpoint) -> None:
-        """Command the frequency, then the current, of a setpoint, each only if it differs from the last one.
+        """Command a setpoint: the frequency, then the current.
 
-        The last setpoint is that of the previous call, at first that of the configuration. Nothing is commanded while
-        the shaker of the rig is stopped.
+        A value that has not changed since the previous call is not commanded again. The first call compares with the
+        configuration of the rig. Nothing is commanded while the shaker of the rig is stopped.
         """
         if self.rig.stopped:
             return
@@ -582,10 +597,10 @@ class LockLoop:
         self._setpoint = setpoint
 
     def sample(self, seconds: float) -> Sample | str:
-        """Advance the rig by the nearest number of blocks to some seconds, at least one, and return the sample in them.
+        """Advance the rig by `seconds` of rig time, and return the sample measured in this time.
 
-        If there is no sample, the reason is returned as text for the user: why the shaker is stopped, or that the time
-        was shorter than `MIN_CYCLES` drive cycles.
+        The time is rounded to blocks of scans, but is at least one block. If there is no sample, the result is a text
+        that states why: the shaker is stopped, or the time was shorter than `MIN_CYCLES` drive cycles.
         """
         rig = self.rig
         rig.clear()
@@ -654,10 +669,10 @@ class Mean(NamedTuple):
 def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
     """Return resonance frequency and transmissibility as means of the samples of a lock, with their uncertainties.
 
-    The detuning (resonance minus drive frequency f) of a sample is (f/2) Re(X_b/X_1), if the inferior base is the
-    reference of the lock. Its mean is not added to the returned frequency, but is a part of the uncertainty. If the
-    current is the reference, the same formula serves as an estimate; for the paper's rig it gives 60 % of the detuning.
-    The transmissibility is the ratio of the mean amplitudes.
+    The transmissibility is the ratio of the mean amplitudes. The mean detuning of the samples is a part of the
+    frequency's uncertainty. It does not correct the frequency. The detuning of a sample is (f/2) Re(X_b/X_1), with the
+    drive frequency f. This formula is exact if the inferior base is the reference of the lock, and an estimate if the
+    current is.
 
     Args:
         rows: samples (`PHASE_LOCK`) while locked, shape (n,); the uncertainties are NaN for fewer than `FEWEST`.
@@ -678,7 +693,7 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
 class AmplitudeSweep:
     """Plan of the measurement of a backbone curve: the resonance at ascending, then descending currents.
 
-    The highest current is measured once only. The order of the currents is not checked here.
+    The highest current is measured only once. The currents must be ascending, which is not checked.
     """
 
     currents_a: tuple[float, ...]  # peak currents [A], ascending
@@ -714,9 +729,9 @@ class AmplitudePoint:
 def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
     """Measure a backbone curve: lock the phase at each current, first ascending then descending, and average.
 
-    The measurement ends early if the lock is aborted: the shaker stops, a sample is too short or not `sound`, the
-    displacement of the superior base exceeds its limit, or the phase does not lock at the first current. A later point
-    at which it does not lock in time is measured as well, and marked as not locked.
+    The measurement ends early if the lock is aborted. Examples are a stopped shaker, a superior base above its limit,
+    or no lock at the first current. If a later point does not lock in time, the point is still measured and marked as
+    not locked.
 
     Args:
         sweep: currents, plan of the lock, and times.
@@ -754,7 +769,10 @@ def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplit
 def _pass(
     lock: PhaseLock, loop: LockLoop, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
 ) -> None:
-    """Continue a lock for at least some seconds of rig time (whole samples), until it ends, or a condition is true."""
+    """Continue a lock until some rig time has passed, a condition is true, or the lock ends.
+
+    `seconds` is rounded up to whole samples.
+    """
     end_ns = loop.now_ns + round(seconds * NS_PER_S)
     follow(lock, loop, lambda one: until(one) or loop.now_ns >= end_ns)
 

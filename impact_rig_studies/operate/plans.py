@@ -57,7 +57,9 @@ def superior_limit_field() -> Any:
 
 @attrs.frozen(kw_only=True)
 class SweepPlan:
-    """Plan of a stepped sine: its points and limits; the fields are also parameters of the stepped-sine node.
+    """Plan of a stepped sine: its points and limits.
+
+    The fields are also parameters of the stepped-sine node.
 
     Raises:
         ConfigError: a value is invalid; the message names it.
@@ -134,7 +136,9 @@ class Hold(enum.StrEnum):
 
 @attrs.frozen(kw_only=True, slots=False)  # one of several bases of the node's parameters
 class HoldPlan:
-    """Plan of the control of an amplitude during a sweep; its fields are also parameters of the stepped-sine node.
+    """Plan of the control of an amplitude during a stepped sine: controlled quantity, target and limits.
+
+    The fields are also parameters of the stepped-sine node.
 
     Raises:
         ConfigError: a value is invalid; the message names it.
@@ -202,7 +206,7 @@ class LockSettings:
 
 @attrs.frozen(kw_only=True)
 class LockPlan(LockSettings):
-    """Plan of a phase lock: search for a resonance, tracking of it, and dwell time there.
+    """Plan of a phase lock: search for a resonance, tracking, and dwell time at the resonance.
 
     Raises:
         ConfigError: a value is invalid; the message names it.

@@ -62,8 +62,8 @@ They are due to a change of command, label or calibration, or to a drive frequen
 def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Convert rows of a measurement to rows of `blocks.SWEEP`, which has the columns of a sweep's file and topic.
 
-    Missing columns of floating-point numbers are filled with NaN, except for `waited`. That and all other missing
-    columns are filled with 0 or empty texts.
+    Missing floating-point columns are filled with NaN. Other missing columns, and `waited`, are filled with 0 or empty
+    texts.
 
     Args:
         rows: structured array with some of these columns, shape (n,).
@@ -115,7 +115,7 @@ class SteppedSine:
         return np.concatenate(self._rows) if self._rows else np.zeros(0, dtype=TRANSMISSIBILITY)
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
-        """Return the accepted measurements from the one with index `first` on, as rows of `blocks.SWEEP`."""
+        """Return the accepted measurements from index `first` on, as rows of `blocks.SWEEP`."""
         return sweep_rows(self.rows[first:])
 
     @property
@@ -129,9 +129,9 @@ class SteppedSine:
         return self._at, len(self._points)
 
     def describe(self) -> str:
-        """Return the progress of the sweep as text for the user.
+        """Return the progress of the sweep as text for the user, such as "point 3 of 10: 8.5 Hz".
 
-        For example "point 3 of 10: 8.5 Hz" or "finished, 10 points"; "idle" or "aborted" without the `reason`.
+        If the sweep is idle or aborted, the text is only "idle" or "aborted", without the `reason`.
         """
         done, count = self.progress
         running = f"point {done + 1} of {count}: {self.frequency_hz:g} Hz"
@@ -150,22 +150,25 @@ class SteppedSine:
 
     @property
     def current_a(self) -> float:
-        """Peak current that the plan states for all points [A] (m or V by `drive.kind`), also while no sweep runs."""
+        """Peak current of the plan for all points [A] (m or V by `drive.kind`), also while no sweep runs."""
         return self._plan.current_a
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start the sweep, or start it again without its measurements; return the setpoint of the first point."""
+        """Start the sweep at its first point, and return the setpoint of this point.
+
+        Measurements of an earlier start are discarded. `now_ns` is the present rig time [ns].
+        """
         self._reset()
         self._start_ns = now_ns
         self.state = SweepState.RUNNING
         return self._go(now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
-        """Process a change of the drive that the rig has accepted at a rig time.
+        """Process a change of the drive that the rig has accepted at rig time `now_ns` [ns].
 
-        Once the requested setpoint is accepted, the wait for a measurement begins. A different setpoint after that must
-        come from another client, and aborts the sweep. Before that, different setpoints are ignored, because frequency
-        and current are applied one after the other. Returns the setpoint with zero current after an abort, else None.
+        The wait for a measurement begins once the rig has accepted the requested setpoint. A different setpoint after
+        that aborts the sweep, because another client must have commanded it. A different setpoint before that is
+        ignored. Returns the setpoint with zero current after an abort, else None.
         """
         if self.state is not SweepState.RUNNING:
             return None
@@ -182,14 +185,15 @@ class SteppedSine:
         return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Process a row of `transmissibility/table`; return the setpoint to command now, None while the point goes on.
+        """Process a row of `transmissibility/table`, and return the setpoint to command now, or None.
 
-        It is that of the next point if this one is complete, or zero current if the sweep has finished or is aborted.
+        The setpoint is that of the next point if the present point is complete. It has zero current if the sweep has
+        finished or is aborted. None means that the present point continues.
 
-        A settled measurement is accepted, and with the plan's `keep_unsettled` also one with the status `not_settled`.
-        Any other counts as failed. If more than the plan's `retries` have failed at a point, the sweep is aborted. With
-        the plan's `skip_over_range` it goes on to the next point instead, provided that the last status is
-        `over_range`. Rows at another frequency, and those that only report a change (`PASSING`), are ignored.
+        A settled measurement is accepted. A measurement with the status `not_settled` is accepted if the plan has
+        `keep_unsettled`. Rows at another frequency, and rows that only report a change (`PASSING`), are ignored. All
+        other rows are failed measurements. More than the plan's `retries` of them abort the sweep. A point at which a
+        sensor is over range is skipped instead if the plan has `skip_over_range`.
         """
         if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME
@@ -226,10 +230,10 @@ class SteppedSine:
         return None
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the present rig time: abort if a command was not accepted, or a point not measured, in time.
+        """Abort the sweep if a command was not accepted, or a point was not measured, in time.
 
-        The limits are `accept_limit_s` and `dwell_limit_s` of the plan. Returns the setpoint with zero current after an
-        abort, else None.
+        `now_ns` is the present rig time [ns]. The limits are `accept_limit_s` and `dwell_limit_s` of the plan. Returns
+        the setpoint with zero current after an abort, else None.
         """
         if self.state is not SweepState.RUNNING:
             return None
@@ -272,10 +276,10 @@ class SteppedSine:
         return Setpoint(self.frequency_hz, self.current_a)
 
     def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Return a corrected setpoint if a measured response is too far from a target, or None to accept it.
+        """Return a corrected setpoint if a measured response is too far from its target, or None to accept it.
 
-        A stepped sine without control accepts every response. `ControlledSine` overrides this, and may abort the sweep:
-        then it returns zero current.
+        A stepped sine without control accepts every response. An override may also abort the sweep and return zero
+        current.
         """
         del row, now_ns
         return None
@@ -309,13 +313,13 @@ SLOPES = (0.3, 3.0)  # range of d ln amplitude / d ln current that a correction 
 class ControlledSine(SteppedSine):
     """State machine of a stepped sine whose current is corrected until a measured amplitude is near its target.
 
-    At each point, the amplitude is accepted within the tolerance of `hold`, or after its maximum number of corrections.
-    An amplitude of 0 or NaN is accepted as well, since it cannot be corrected. Further measurements at the point are
-    accepted without a correction. The column `held` of `controlled` says which measurements are within the tolerance.
-    The sweep is aborted if the next current or the measured superior base exceeds its limit in `hold`.
+    The amplitude at a point is accepted within the tolerance of `hold`, or after the maximum number of corrections. An
+    amplitude of 0 or NaN is accepted as well, since it cannot be corrected. The column `held` of `controlled` says
+    which measurements are within the tolerance. The sweep is aborted if the next current or the measured superior base
+    exceeds its limit in `hold`.
 
     Args:
-        plan: points and limits of the sweep. Its current is the initial value at the first point; each later point
+        plan: points and limits of the sweep. Its current is the initial value at the first point. Each later point
             begins with the last current of the point before.
         hold: controlled quantity, its target and limits.
     """
@@ -348,7 +352,7 @@ class ControlledSine(SteppedSine):
         return found
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
-        """Return the accepted measurements from the one with index `first` on, as rows of `blocks.SWEEP`."""
+        """Return the accepted measurements from index `first` on, as rows of `blocks.SWEEP`."""
         return self.controlled[first:]
 
     def _reset(self) -> None:
@@ -361,8 +365,8 @@ class ControlledSine(SteppedSine):
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
         """Process a row of `transmissibility/table` like `SteppedSine.on_measurement`.
 
-        A row is ignored if its rig time `now_ns` is before the rig accepted the present command, because it belongs to
-        an earlier current.
+        Rows from before the rig accepted the present command are ignored, because they belong to an earlier current.
+        `now_ns` is the rig time of the row [ns].
         """
         if self._accepted and now_ns >= self._since_ns:
             return super().on_measurement(row, now_ns)

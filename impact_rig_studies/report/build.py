@@ -57,7 +57,7 @@ def build_report(
     formats: Sequence[str] = FIGURE_FORMATS,
     rig: str | None = None,
 ) -> Path:
-    """Write the report of a campaign or of a run, with its numbers and figures, and return the page.
+    """Write the report of a campaign or of a run, with its numbers and figures, and return the path of the page.
 
     Args:
         directory: directory of the campaign or of the run; an MCAP file is a run.
@@ -71,9 +71,10 @@ def build_report(
         rig: namespace of the rig, for a recording with several rigs.
 
     Raises:
-        ConfigError: a directory contains neither campaign nor run, or `margins` has no complete results of two rigs or
-            more. Also if `branches` are missing, of another rig, or over a parameter that a report does not show, if
-            `margins` or `branches` are given for a run or an imported campaign, or `rig` for a campaign.
+        ConfigError: `directory` contains neither campaign nor run, or `margins` has no complete results of two rigs or
+            more. A directory in `branches` has no results, or results of another rig or over a parameter that a report
+            does not show. `margins` or `branches` are given for a run or an imported campaign. `rig` is given for a
+            campaign.
         RecordingError: a campaign has no measurement yet, a run cannot be read or analysed, or a file cannot be
             written.
     """
@@ -122,8 +123,8 @@ def _continued(name: str, directory: Path, done: Finished) -> Drawn:
     """Draw the branches in an output directory of `impact-rig dynamics continue` as the figure `name`.
 
     Raises:
-        ConfigError: the directory has no results of such a study, or the branches belong to another rig than that of
-            the campaign `done`, or are over a parameter that a report does not show.
+        ConfigError: the directory has no results, the branches belong to another rig than the campaign `done`, or they
+            are over a parameter that a report does not show.
     """
     study = dynamics.open_study(directory, dynamics.CONTINUE)
     try:
@@ -148,7 +149,7 @@ def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequenc
 def _write(folder: Path, formats: Sequence[str], target: Path, content: Content, title: str, html: str) -> Path:
     """Write the page `html` to `target`, its numbers next to it, and its figures into `folder`; return `target`.
 
-    Figures of the report that this one replaces are removed from `folder`, as they would look like its own.
+    The figures of an earlier report at `target` are removed from `folder` first.
 
     Raises:
         RecordingError: a file cannot be written.
@@ -170,7 +171,7 @@ def _write(folder: Path, formats: Sequence[str], target: Path, content: Content,
 def _sections(
     done: Finished, varied: list[Variation], drawn: list[Drawn], content: Content, folder: Path
 ) -> Iterator[Section | None]:
-    """Yield the sections of a campaign's report in order, None for one without content.
+    """Yield the sections of a campaign's report in order; a section without content is None.
 
     Args:
         done: campaign with its results.
@@ -277,9 +278,9 @@ def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
 
 
 def _paths(done: Finished, folder: Path) -> list[Path]:
-    """Return the paths of the files that the page of a campaign links to; they are not relative to the page.
+    """Return the paths of the files that the page of a campaign links to.
 
-    These are the existing files of results and runs, and `report.json` in the directory of the page, `folder`.
+    These are the existing files of results and runs, and `report.json` in `folder`, the directory of the page.
     """
     names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, CONFIGURATION_FILE]
     if done.imported:
@@ -290,7 +291,10 @@ def _paths(done: Finished, folder: Path) -> list[Path]:
 
 
 def _links(paths: Sequence[Path], folder: Path) -> Markup:
-    """Return links to files as HTML for a page in `folder`: relative for files within it, so that it can be moved."""
+    """Return links to files as HTML for a page in the directory `folder`.
+
+    Links to files within `folder` are relative, so that the folder can be moved. Other links are absolute.
+    """
     resolved, here = [path.resolve() for path in paths], folder.resolve()
     addresses = [
         quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved

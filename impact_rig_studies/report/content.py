@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Content of a report's page as data: every displayed table, figure and number is also written to `report.json`.
+"""Content of a report's page as data: every displayed table, figure and number is also written to a file.
 
-No number of the page exists only as text: it is in `report.json` at full precision, in its displayed unit, or in
-`points.csv` or `summary.json`. A test proves this.
+Each number of the page is in `report.json`, at full precision and in its displayed unit, or in `points.csv` or
+`summary.json`. A test proves this.
 """
 
 from __future__ import annotations
@@ -48,7 +48,10 @@ class Cell:
 
 
 def number(value: float, spec: str = ".6g") -> Cell:
-    """Return a cell with a number, formatted by `spec`, zero without a minus; empty if the number is not finite."""
+    """Return a cell with a number, formatted by `spec`; the cell is empty if the number is not finite.
+
+    A rounded zero has no minus sign.
+    """
     return Cell(format(value, f"z{spec}"), value) if math.isfinite(value) else Cell("", None)
 
 
@@ -68,8 +71,8 @@ BUDGET_HEADINGS = ("source", "error", "type", "relative u (%)", "u(DT)", "share 
 def budget_rows(found: Budget) -> list[list[str | Cell]]:
     """Return the rows of a table of an uncertainty budget of a transmissibility (DT), with columns `BUDGET_HEADINGS`.
 
-    There is a row for each contribution with a share of the variance of at least `LEAST_SHARE`, and a last one for the
-    combined standard uncertainty.
+    Each row shows one contribution. Contributions below a share of `LEAST_SHARE` of the variance are left out. The last
+    row shows the combined standard uncertainty.
     """
     relative = found.u_transmissibility / found.transmissibility
     rows: list[list[str | Cell]] = [
@@ -86,8 +89,8 @@ def budget_rows(found: Budget) -> list[list[str | Cell]]:
 def earlier_figures(path: Path) -> set[str]:
     """Return the names of the figures of an earlier report whose `report.json` is at `path`.
 
-    Without a readable one the result is empty. Names with characters other than letters, digits, `_`, `-` and spaces
-    are left out, as are names of more than 100 characters.
+    If the file is missing or invalid, the result is empty. Names that are longer than 100 characters or contain special
+    characters are left out.
     """
     try:
         found = json.loads(files.read_bytes(path, LARGEST_BYTES))["figures"]
@@ -97,7 +100,7 @@ def earlier_figures(path: Path) -> set[str]:
 
 
 class Content:
-    """Collection of the facts, tables and figures of a report while its page is made, for `report.json`.
+    """Collection of the facts, tables and figures of a report, from which `report.json` is written.
 
     Attributes:
         drawn: figures so far, to be saved.
@@ -109,16 +112,19 @@ class Content:
         self._tables: dict[str, object] = {}
 
     def fact(self, name: str, value: float | str, spec: str = "") -> str:
-        """Store a number or text of the page under `name`, replacing an earlier one; return it formatted by `spec`."""
+        """Store a number or text of the page under `name`, and return it formatted by `spec`.
+
+        An earlier value with the same name is replaced.
+        """
         self._facts[name] = value
         return format(value, spec)
 
     def table(
         self, name: str, headings: Sequence[str], rows: Iterable[Sequence[str | Cell]], numeric: Iterable[int] = ()
     ) -> Markup:
-        """Return a table as HTML for the page, and store its cells under `name`, replacing an earlier one.
+        """Store the cells of a table under `name`, and return the table as HTML for the page.
 
-        Columns whose indices are in `numeric` are right-aligned.
+        An earlier table with the same name is replaced. Columns whose indices are in `numeric` are right-aligned.
         """
         kept = [list(row) for row in rows]
         self._tables[name] = {
@@ -129,7 +135,7 @@ class Content:
         return page.table(headings, texts, numeric)
 
     def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
-        """Return figures as HTML for the page, larger ones if `large`, and store them so that they can be saved."""
+        """Store figures so that they can be saved, and return them as HTML for the page; `large` makes them larger."""
         new = list(found)
         self.drawn += new
         return page.figures(new, large=large)

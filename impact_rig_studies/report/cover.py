@@ -46,7 +46,7 @@ DIGITS = 12  # number of characters of a digest
 def opening(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield the beginning of a campaign's report as HTML: title, origin of the results, key figures, explanation.
 
-    The origin consists of paper, configuration, seed, time and versions.
+    The origin of the results states paper, configuration, seed, time and versions.
     """
     yield title(done.campaign.title)
     yield paragraph("Report of a measurement on the virtual test rig of an impact damper", "muted")
@@ -134,7 +134,7 @@ def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def instruments_table(info: NDArray[np.void], content: Content) -> Iterator[Markup]:
-    """Yield a table of the instruments in rows of `daq/info`, after an explanation of some columns, as HTML."""
+    """Yield an explanation and a table of the instruments in rows of `daq/info`, as HTML."""
     yield paragraph(
         "u(S): relative standard uncertainty of the sensitivity for a small vibration; noise: rms; read after: "
         "conversion after the scan clock."

@@ -64,7 +64,7 @@ FINE = 400  # number of frequencies at which a prediction is drawn
 
 
 def draw_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT without the sphere over the frequency: measured, and the closed form of the configured rig."""
+    """Draw the measured DT without the sphere over the frequency, and the closed form for the configured rig."""
     points = curve(curves, NO_SPHERE)
     if not points:
         return
@@ -82,10 +82,11 @@ def draw_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT and phase of the paper's gaps, and without sphere, over the frequency, with predictions, as two figures.
+    """Draw DT and phase over the frequency, measured and predicted, for the paper's gaps and without sphere.
 
-    They show the complete range of the paper's frequencies, and the range near resonance. All measurements at the
-    paper's current are drawn. There are no figures if fewer than two cases (a gap, or no sphere) were measured.
+    There are two figures: the complete range of the paper's frequencies, and the range near resonance. Only
+    measurements at the paper's current are drawn. Nothing is drawn if fewer than two cases (a gap, or no sphere) were
+    measured.
     """
     cases = [gap for gap in (NO_SPHERE, *REDUCTION_PERCENT) if curve(curves, gap)]
     if len(cases) < 2:
@@ -136,14 +137,14 @@ def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def _label_if_first(value: float, _: float) -> str:
-    """Return the label of a minor tick, only for 2 and 5 of a decade, so that labels do not overlap."""
+    """Return the label of a minor tick, or an empty text unless its first digit is 2 or 5."""
     return f"{value:g}" if f"{value:e}"[0] in "25" else ""
 
 
 def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory: Sequence[Stretch]) -> None:
-    """Draw one gap into the axes for DT linear, DT logarithmic and phase: points with error bars, lines of the theory.
+    """Draw the measured points of one gap with error bars, and lines of the theory.
 
-    Without a theory, dotted lines connect the points of DT, but not those of the phase.
+    The three axes show DT linear, DT logarithmic, and phase. Without a theory, dotted lines connect the points of DT.
     """
     frequency, shade = [p.frequency_hz for p in points], colour(gap)
     phases = _lag_deg([p.phase_rad for p in points])
@@ -162,7 +163,10 @@ def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory
 
 
 def _lag_deg(phase_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return phases of −π to π in degrees for drawing, above -270 up to 90: a lead above 90 is shown as a lag."""
+    """Convert phases from radians in −π to π to degrees for drawing; a lead above 90° is shown as a lag.
+
+    The result is above −270 and at most 90.
+    """
     degrees = np.degrees(phase_rad)
     return np.where(degrees > 90.0, degrees - 360.0, degrees)
 
@@ -291,9 +295,9 @@ def draw_errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Dr
 def _residuals(
     x: ArrayLike, errors: ArrayLike, bars: ArrayLike, zero: tuple[str, str], label: str
 ) -> tuple[Figure, Axes]:
-    """Draw differences with error bars about the line zero.
+    """Draw differences with error bars about the line zero, and return figure and axes.
 
-    `zero` is the colour of this line and its name in the legend, and `label` the name of the differences there.
+    `zero` is the colour and the legend text of the line zero. `label` is the legend text of the differences.
     """
     figure, (axis,) = new_axes(3.0)
     axis.axhline(0.0, color=zero[0], linewidth=1.0, label=zero[1])
@@ -315,14 +319,14 @@ def colour(gap_m: float) -> str:
 
 
 def curve(curves: Curves, gap_m: float) -> list[Point]:
-    """Return the settled points of one gap at the frequencies of the paper, ascending; unmeasured ones are left out."""
+    """Return the settled points of one gap at the paper's frequencies, ascending, without unmeasured frequencies."""
     return [point for frequency in FREQUENCIES_HZ if (point := curves.at(gap_m, frequency)) is not None]
 
 
 def papers_dt(curves: Curves, gap_m: float) -> float | None:
-    """Return the DT at 9.1 Hz that the paper's reduction for one of its gaps predicts from our DT without sphere.
+    """Return the DT at 9.1 Hz that follows from our DT without sphere and the paper's reduction for one of its gaps.
 
-    It is None if DT without sphere was not measured at 9.1 Hz.
+    The result is None if DT without sphere was not measured at 9.1 Hz.
     """
     without = curves.at(NO_SPHERE, FREQUENCY_HZ)
     return None if without is None else without.dt * (1.0 - REDUCTION_PERCENT[gap_m] / 100.0)
@@ -334,9 +338,10 @@ def case(gap_m: float) -> str:
 
 
 def curve_numbers(gap_m: float, points: Sequence[Point]) -> Line:
-    """Return the numbers of a drawn curve for its CSV; `gap_m` only names the curve.
+    """Return the numbers of a drawn curve for its CSV file.
 
-    They are frequency, DT, expanded uncertainty of DT, and phase in degrees of all `points`.
+    These are frequency, DT, expanded uncertainty of DT, and phase in degrees of all `points`. `gap_m` only names the
+    curve.
     """
     return Line(
         case(gap_m),
@@ -375,9 +380,9 @@ def _title(gap_m: float) -> str:
 
 
 def draw_peaks(curves: Curves) -> Iterator[Drawn]:
-    """Draw one figure of DT within 0.1 Hz of 9.1 Hz, measured every 0.01 Hz; nothing if no peak was measured.
+    """Draw DT within 0.1 Hz of 9.1 Hz for each case whose peak was measured, with a dotted vertical at the peak.
 
-    It has a line for each case whose peak was measured (a gap of the paper, or no sphere), and a dotted vertical there.
+    A case is a gap of the paper, or no sphere. Nothing is drawn if no peak was measured.
     """
     figure, (axis,) = new_axes(3.4)
     lines: list[Line] = []
@@ -402,7 +407,7 @@ def draw_peaks(curves: Curves) -> Iterator[Drawn]:
 def damper_effects(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
     """Return the sphere's added mass and loss factor by gap [m] and frequency [Hz].
 
-    Frequencies without a measurement of DT both with this gap and without the sphere are missing.
+    A frequency is included only if DT was measured with this gap and without the sphere.
     """
     found: dict[float, dict[float, Damper]] = {}
     for gap in curves.gaps():
@@ -416,7 +421,7 @@ def damper_effects(curves: Curves, calibration: Calibration) -> dict[float, dict
 def draw_damper(curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
     """Draw added mass and loss factor of the sphere over the frequency in one figure, one line per gap, ± 2u.
 
-    Gaps with fewer than two frequencies are left out; nothing is drawn if none remain.
+    Gaps measured at fewer than two frequencies are left out. Nothing is drawn if no gap remains.
     """
     found = {gap: own for gap, own in damper_effects(curves, calibration).items() if len(own) > 1}
     if not found:
@@ -547,7 +552,7 @@ def draw_time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
 
 
 def draw_phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw velocity over position of the sphere, relative to the superior base, for the whole trace.
+    """Draw the sphere's velocity over its position, both relative to the superior base, for the complete trace.
 
     The arguments are those of `draw_time_trace`.
     """

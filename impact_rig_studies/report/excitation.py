@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Presentation of the results of a test of `impact-rig drive` that plays samples: data, sentences, page of drawings.
+"""Results of the tests of `impact-rig drive` that play samples: key figures, sentences, drawings and HTML page.
 
 Such tests are random vibration, replicated and played histories, shocks and frequency responses.
 """
@@ -58,8 +58,8 @@ class ResultSummary:
 def tell(found: object, unit: str = "") -> ResultSummary:
     """Summarise the latest result of a test that plays samples, such as `Reached` or `Frf`.
 
-    If there is no result, for example because a key figure cannot be computed, `missing` of the summary says why, and
-    is also its only sentence. `unit` is that of the response, or of the frequency response.
+    If there is no usable result, for example because a key figure cannot be computed, `missing` of the summary states
+    why. This is then also its only sentence. `unit` is the unit of the response, or of the frequency response.
     """
     summary = _TELLERS[type(found)](found, unit)
     lacking = [name for name, value in summary.figures.items() if not _is_known(value)]
@@ -73,9 +73,9 @@ def tell(found: object, unit: str = "") -> ResultSummary:
 
 
 def _is_known(value: object) -> bool:
-    """Return whether a key figure is finite; for a mapping, whether all its figures are.
+    """Return whether a key figure is finite; for a mapping, whether all its figures are finite.
 
-    Anything that is not a number, such as an array, counts as known.
+    Values other than floats and mappings, such as arrays, count as known.
     """
     if isinstance(value, Mapping):
         return all(_is_known(one) for one in value.values())
@@ -109,7 +109,7 @@ def _panes(axes: Sequence[Axes], *labels: str, x: str) -> None:
 
 
 def _learning(errors: Sequence[float], label: str, what: str) -> Drawn:
-    """Draw the errors of loops or trials over their number; `label` has their unit, `what` is `loop` or `trial`."""
+    """Draw the errors of successive loops or trials; `label` has their unit, `what` is `loop` or `trial`."""
     figure, (axis,) = new_axes(2.4)
     number = np.arange(1, len(errors) + 1)
     axis.plot(number, errors, "o-", color=MEASURED)
@@ -210,7 +210,7 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
 
 
 def _repetition(found: Replicated) -> str:
-    """Return sentences about the repetition of the best drive, to be appended to others; empty if there was none."""
+    """Return sentences about the repetition of the best drive; empty if there was no repetition."""
     if found.repeated is None:
         return ""
     text = f" A repetition of its drive has an error of {100 * found.repeated:.2f} %."
@@ -262,11 +262,11 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
 
 
 def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
-    """Return the deviation of a shock from the request as text, such as that of its peak or its response spectrum.
+    """Return one error of a shock as text, together with its noise floor.
 
-    The text includes the noise floor: the error that noise and gain error of the sensor can cause. If the error is not
-    above it, the text says "as requested". `name` is the attribute of `found` with the error. Both values are
-    multiplied by `factor` and shown in `unit`.
+    The noise floor is the error that noise and gain error of the sensor can cause. An error within the noise floor is
+    described as "as requested". `name` is the attribute of `found` with the error. Both values are multiplied by
+    `factor` and shown in `unit`.
     """
     value, floor = factor * getattr(found, name), factor * found.floors[name]
     if abs(value) <= floor:

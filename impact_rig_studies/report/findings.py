@@ -37,14 +37,17 @@ BUDGETED_GAP_M = 6e-3  # the case whose uncertainty is analysed, if it was measu
 
 
 def value_cell(value: Value) -> str | Cell:
-    """Return a value of a configuration as a cell of a table; a text, a switch or a list becomes a text."""
+    """Return a value of a configuration for a table: a cell for a number, a text for any other value."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
     return number(float(value)) if isinstance(value, float) else Cell(str(value), value)
 
 
 def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the table of DT and its reduction by gap, next to the paper's, as HTML; nothing if none was measured."""
+    """Yield a table of DT and its reduction for each gap, with the paper's reductions, as HTML.
+
+    Nothing is yielded if no reduction was measured.
+    """
     reductions = done.reductions()
     ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     if not ours:
@@ -69,11 +72,10 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def damper(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the table of the sphere's added mass (in percent of m_1) and loss factor (in percent) by gap, as HTML.
+    """Yield a table of the sphere's added mass (in percent of m_1) and loss factor (in percent) by gap, as HTML.
 
-    Both follow from DT with and without the sphere, at the frequency with measurements of the most gaps (of several,
-    the one nearest to 9.1 Hz). Nothing is yielded if DT was not measured with and without the sphere at the same
-    frequency.
+    Both follow from DT with and without the sphere, at the frequency with the most measured gaps. Nothing is yielded if
+    DT was not measured with and without the sphere at the same frequency.
     """
     found = damper_effects(done.curves, done.calibration)
     counts = [frequency for own in found.values() for frequency in own]
@@ -94,7 +96,10 @@ def damper(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def statements(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the paper's statements with verdict, kind of evidence and margin, as HTML; nothing if none was judged."""
+    """Yield a table of the paper's statements with verdict, kind of evidence and margin, as HTML.
+
+    Nothing is yielded if no statement was judged.
+    """
     verdicts = done.verdicts()
     if all(verdict.result is None for verdict in verdicts):
         return
@@ -116,9 +121,10 @@ def statements(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the uncertainty budget of one DT at 9.1 Hz as HTML: that with a gap of 6 mm, or else that without sphere.
+    """Yield the uncertainty budget of one DT at 9.1 Hz as HTML.
 
-    Nothing is yielded if neither was measured.
+    The budget is for the gap of 6 mm, or without sphere if that gap was not measured. Nothing is yielded if neither was
+    measured.
     """
     chosen: Point | None = None
     for gap in (BUDGETED_GAP_M, NO_SPHERE):
@@ -146,9 +152,9 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
-    """Yield the constants of the rig that were chosen to match the paper, and what this means for verdicts, as HTML.
+    """Yield a table of the rig's constants that were chosen to match the paper, with explanations, as HTML.
 
-    The current is always among them. `content` also stores the table and numbers, for `report.json`.
+    The current is always in the table. `content` also stores the table and its numbers, for `report.json`.
     """
     values = to_flat(config)
     rows: list[list[str | Cell]] = [
@@ -178,10 +184,10 @@ def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
 
 
 def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
-    """Yield a table that shows how the paper's statements turn out on rigs with varied constants, as HTML.
+    """Yield a table of the verdicts on the paper's statements for rigs with varied constants, as HTML.
 
-    A cell contains the value that decides a statement, and the verdict; it is empty if the statement was not judged.
-    `varied` contains the verdicts for these rigs; without any, nothing is yielded. `content` also stores the table, for
+    A cell contains the value that decides a statement, and the verdict. It is empty if the statement was not judged.
+    Nothing is yielded if `varied`, the verdicts for these rigs, is empty. `content` also stores the table, for
     `report.json`.
     """
     if not varied:

@@ -46,10 +46,10 @@ PREDICTED = "#e5007d"  # colour of the predicted limits
 
 
 def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
-    """Yield the figures of a map: one per direction, or start of the sphere, and value of the third axis.
+    """Yield the figures of a map study: one for each layer and each value of the third axis.
 
-    Points without a stored result stay empty. A map of two axes that was measured upwards and downwards also has a
-    figure of DT down / DT up − 1 in percent.
+    A layer is a direction of the measurement, or a start of the sphere. A map of two axes that was measured upwards and
+    downwards has one more figure: DT down / DT up − 1 in percent.
     """
     plan = done.plan
     pages = list(plan.axes.items())[2:]
@@ -71,8 +71,8 @@ def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
 def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
     """Return the class of motion at each point of a map, as one of the numbers `QUIET` to `CHAOTIC`, or `NONE`.
 
-    `NONE` means that the point is not measured yet, or that its motion could not be simulated. `values` contains the
-    arrays of the map's results by name of the field of `Reading`, all with the shape of the result.
+    `NONE` means a point without result: not measured yet, or its motion could not be simulated. `values` contains the
+    arrays of the map's results, by field name of `Reading`. The arrays and the result have the same shape.
     """
     regime, impacts = values["regime"], np.asarray(values["impacts_per_cycle"], float)
     period = np.asarray(values["period"], float)
@@ -131,18 +131,18 @@ def _drawn(
 
 
 def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the borders of the cells around n ≥ 2 values of an axis, shape (n + 1,), halfway between neighbours.
+    """Return the borders between the cells around n ≥ 2 values of an axis, shape (n + 1,).
 
-    An outer value lies in the middle of its cell.
+    Inner borders lie halfway between neighbours. Each outer value lies in the middle of its cell.
     """
     middle = 0.5 * (x[1:] + x[:-1])
     return np.concatenate([[1.5 * x[0] - 0.5 * x[1]], middle, [1.5 * x[-1] - 0.5 * x[-2]]])
 
 
 def _regimes(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups: NDArray[np.int64]) -> None:
-    """Fill the cells with the edges x and y with the colours of their classes `groups`, which the legend names.
+    """Colour the cells of a map by the class of their motion, and name the classes in the legend.
 
-    `groups` is a result of `classes`, with the shape (len(x) − 1, len(y) − 1).
+    `x` and `y` are the edges of the cells, `groups` the classes, shape (len(x) − 1, len(y) − 1).
     """
     from matplotlib.colors import ListedColormap  # noqa: PLC0415  # only when something is drawn
 
@@ -154,9 +154,9 @@ def _regimes(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups:
 
 
 def _predicted(panes: Sequence[Axes], plan: MapPlan, page: float | None) -> None:
-    """Draw where a stable motion with two symmetric impacts per cycle is predicted, on a map of gap and frequency.
+    """Draw the predicted limits of stable motions with two symmetric impacts per cycle on a map of gap and frequency.
 
-    `page` is the value of the map's third axis, None without one. Nothing is drawn if the prediction does not apply.
+    `page` is the value of the map's third axis, or None. Nothing is drawn if the prediction does not apply.
     """
     names = list(plan.axes)
     if {*names[:2]} != {GAP, FREQUENCY} or plan.base.drive.kind != "current":

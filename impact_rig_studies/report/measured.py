@@ -76,7 +76,7 @@ class MeasuredData:
 def of_campaign(done: Finished) -> MeasuredData:
     """Return the content of the report of an imported campaign.
 
-    It has the last measurement of each settled point, and the reason for each other one.
+    It contains the last measurement of each settled point, and the reason for each point that did not settle.
     """
     settled = [point for point in done.points if point.settled]
     parts = [point.rows[-1:] for point in settled]
@@ -98,7 +98,7 @@ def of_campaign(done: Finished) -> MeasuredData:
 
 
 def _origins(directory: Path) -> Iterator[tuple[str, str]]:
-    """Yield what the import of the runs below a directory assumed and left out, as pairs of label and text."""
+    """Yield the assumptions and omissions of the import of all runs below a directory, as pairs of label and text."""
     found: dict[str, list[str]] = {"assumed": [], "left out": []}
     for path in sorted(path.parent for path in directory.rglob("metadata.yaml")):
         with open_run(path) as run:
@@ -111,8 +111,8 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
 def of_run(path: Path, rig: str | None = None) -> MeasuredData:
     """Return the content of the report of a run; `rig` is a namespace, needed only if the run has several rigs.
 
-    It contains the newest settled measurement at each gap and frequency. If the whole run has none, it contains the
-    last status of the run instead.
+    It contains the newest settled measurement at each gap and frequency. If the run has no settled measurement, the
+    content states the last status of the run.
 
     Raises:
         RecordingError: the run cannot be read or analysed.
@@ -179,7 +179,7 @@ def document(data: MeasuredData, content: Content, links: Markup) -> str:
 
 
 def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str, str]]:
-    """Yield the conditions of a measurement as pairs of label and text: rate, channels, frequencies, amplitudes.
+    """Yield the conditions of a measurement as pairs of label and text, such as rate, frequencies and amplitudes.
 
     `rows` are the settled measurements, `info` the rows of `daq/info`.
     """
@@ -279,7 +279,7 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
 def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
     """Yield a table of the reductions of DT relative to the measurement without sphere at the same frequency, as HTML.
 
-    Measurements without such a counterpart are left out; nothing is yielded if none remain.
+    Measurements without such a reference are left out. Nothing is yielded if no measurement remains.
     """
     without = {float(row["frequency"]): row[None] for row in rows if row["gap"] == NO_SPHERE}
     cells: list[list[str | Cell]] = []
@@ -302,7 +302,7 @@ def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Conte
 def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
     """Yield the uncertainty of one DT as HTML: result, coverage factor, degrees of freedom, conditions and budget.
 
-    `row` is the measurement, shape (1,), or an empty array if no measurement settled; then nothing is yielded.
+    `row` is the measurement, shape (1,). Nothing is yielded if `row` is empty.
     """
     if not len(row):
         return
@@ -331,10 +331,10 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
 
 
 def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
-    """Return the degrees of freedom of the type A part of an uncertainty, and the effective ones of the total.
+    """Return the degrees of freedom of the type A uncertainty, and the effective ones of the combined uncertainty.
 
-    The first ones are the number of batches or cycles minus 1, even if there is no part of type A; the effective ones
-    are infinite then. `found` is the uncertainty budget of `row`, a measurement of `transmissibility/table`.
+    The first value is the number of batches or cycles minus 1. The second value is infinite if the budget has no part
+    of type A. `found` is the uncertainty budget of `row`, a measurement of `transmissibility/table`.
 
     Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
     """
@@ -346,9 +346,10 @@ def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
 
 
 def _motion(run: Run, found: Sequence[Findings]) -> Iterator[Drawn]:
-    """Yield drawings of the time traces and of the spectrum in the last settled measurement of a run.
+    """Yield drawings of the time traces and of the spectrum of a run.
 
-    Without a settled one, they show the end of the run. `found` contains the findings of the analysis of the run.
+    They show the last settled measurement, or the end of the run if no measurement settled. `found` contains the
+    findings of the analysis of the run.
 
     Raises:
         RecordingError: the run has no calibration, or too few contiguous scans to draw.

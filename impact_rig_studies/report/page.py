@@ -11,11 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Construction of the HTML pages of reports, by a template engine that escapes texts; pages load and execute nothing.
+"""Construction of the HTML pages of reports by a template engine that escapes texts.
 
-The security policy of a page allows one style sheet, identified by its digest, and embedded images. Even injected
-markup could neither execute nor load anything. Styles of drawings are therefore converted to classes of the style
-sheet.
+A page loads and executes nothing. Its security policy allows only one style sheet, identified by its digest, and
+embedded images. Styles of drawings are therefore converted to classes of the style sheet.
 """
 
 from __future__ import annotations
@@ -75,7 +74,10 @@ def _render(part: str, *values: object) -> Markup:
 
 
 def _lowered(text: str) -> Markup:
-    """Return a text as HTML; in symbols of a letter and an index of one character, such as m_1, this is a subscript."""
+    """Return a text as HTML, in which symbols such as m_1 have a subscript.
+
+    Such a symbol is one letter with an index of one character.
+    """
     return Markup(_SYMBOL.sub(_LOWERED, str(escape(text))))  # noqa: S704  # escaped, and what it gains is ours
 
 
@@ -89,9 +91,9 @@ def page(title: str, parts: Iterable[Section | Markup]) -> str:
 
 
 def _classed(body: Markup) -> tuple[Markup, str]:
-    """Return a page whose inline styles are replaced by classes, and the CSS rules of these classes.
+    """Replace the inline styles in the drawings of a page by classes; return the HTML and the CSS rules of the classes.
 
-    The security policy of the page allows no inline styles. Only drawings have them, made by matplotlib.
+    The security policy of the page allows no inline styles.
     """
     rules: dict[str, str] = {}
 
@@ -154,7 +156,7 @@ class _Figure:
 def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
     """Return figures as HTML, side by side as the page width allows; `large` makes them larger.
 
-    The reader can enlarge each, and each that has lines has a link to its numbers as CSV.
+    The reader can enlarge each figure. A figure with lines has a link to its numbers as CSV.
     """
     shown = [
         _Figure(
@@ -186,7 +188,7 @@ def tiles(items: Iterable[tuple[str, str]]) -> Markup:
 
 
 def folded(summary: str, body: Markup) -> Markup:
-    """Return HTML that is collapsed below the line `summary` until the reader opens it, and is expanded in print."""
+    """Return HTML that is collapsed below the line `summary` until the reader opens it; it is expanded in print."""
     return _render("folded", summary, body)
 
 

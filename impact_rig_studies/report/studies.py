@@ -11,10 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figure of any study of a campaign: DT, or its reduction, over the axis with the most values.
-
-It has one line per combination of the other values, and the prediction for two impacts per cycle if that applies.
-"""
+"""Figures of the studies of a campaign: DT, or its reduction, over one varied quantity, with predictions."""
 
 from __future__ import annotations
 
@@ -55,10 +52,11 @@ MOST_LINES = 2 * len(SERIES)  # the second half is dashed
 def study_figures(
     study: str, points: Sequence[Point], curves: Curves, calibration: Calibration, theory: Line | None = None
 ) -> Iterator[Drawn]:
-    """Yield the figure of a study; nothing if no numeric axis has three values, or it would have too many lines.
+    """Yield the figure of a study: DT, or its reduction, over the axis with the most values.
 
-    It shows the reduction of DT relative to the reference rig without the sphere. It shows DT itself if it is drawn
-    over the frequency, if the study has several sets of instruments, or if a reference value was not measured.
+    There is one line for each combination of the other values. Nothing is yielded if no numeric axis has three values,
+    or if there are too many lines. The reduction is relative to the reference rig without the sphere. DT itself is
+    shown over the frequency, and if reductions cannot be computed.
 
     Args:
         study: name of the study.
@@ -127,10 +125,10 @@ def study_figures(
 
 
 def _place(point: Point) -> dict[str, float | str]:
-    """Return the value of each axis at a point, by name of the axis: numbers as floats, all else and the seed as texts.
+    """Return the value of each axis at a point, by name of the axis.
 
-    The axes are frequency, gap (`NO_SPHERE` without a sphere), current and direction of every point, and those that the
-    study varies. Numbers are in SI units.
+    The axes are frequency, gap (`NO_SPHERE` without a sphere), current, direction, and those that the study varies.
+    Numbers are floats in SI units. Other values, and the seed, are texts.
     """
     place: dict[str, float | str] = {
         "frequency_hz": point.frequency_hz,
@@ -153,10 +151,9 @@ def _word(name: str, value: float | str) -> str:
 
 
 def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[float, float]:
-    """Return the reduction of DT at a point relative to DT without sphere, and its standard uncertainty.
+    """Return the reduction of DT at a point relative to DT without sphere [%], and its standard uncertainty [points].
 
-    The reduction is in percent, its uncertainty in percentage points. The reference rig must have been measured without
-    sphere at this frequency.
+    The reference rig must have been measured without sphere at this frequency.
     """
     without = curves.at(NO_SPHERE, point.frequency_hz)
     assert without is not None
@@ -165,10 +162,10 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
 
 
 def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: RigConfig) -> Drawn:
-    """Draw DT along continued branches of the model's motions, with measurements at the values held along them.
+    """Draw DT along continued branches of the model's motions, together with measurements.
 
-    The measurements are the settled points with sphere of the reference rig, that of the campaign's first job, at the
-    current of that job.
+    The measurements are the settled points with sphere of the reference rig, at the values that are constant along the
+    branches. The reference rig is that of the campaign's first job.
 
     Args:
         name: name of the figure.
@@ -241,8 +238,8 @@ def predicted(
 ) -> Sequence[Stretch]:
     """Return the predicted DT and phase over the frequency for a gap at constant current, as continuous parts.
 
-    Without sphere the prediction is the closed form of the linear rig. With it, the prediction is that of stable
-    motions with two impacts per cycle, and the result is empty if there are none or the theory does not apply.
+    Without sphere, the prediction is the closed form of the linear rig. With sphere, it is that of stable motions with
+    two impacts per cycle. The result is empty if there are no such motions or the theory does not apply.
 
     Args:
         config: configuration of the rig, whose own gap is ignored.
@@ -264,8 +261,8 @@ def predicted(
 def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float) -> Line | None:
     """Return the predicted reduction of DT [%] over the gap [m] at one frequency and constant current.
 
-    The prediction is that of stable motions with two impacts per cycle. It is None if this theory does not apply to the
-    rig, or predicts such motions at fewer than two gaps.
+    The prediction is that of stable motions with two impacts per cycle. Returns None if the theory does not apply to
+    the rig, or predicts such motions at fewer than two gaps.
 
     Args:
         config: configuration of the rig, whose own gap is ignored.

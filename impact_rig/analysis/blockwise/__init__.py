@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Analyses of scans block by block: the base class of those that publish a topic, and tools for topics of plotters.
+"""Base class of analyses that process scans block by block, and tools that prepare data for plotters.
 
-Every module of this folder that defines a `Blockwise` is found automatically. The analysis node feeds it and publishes
-its results (docs/how-to/extending.md).
+Every class derived from `Blockwise` in a module of this folder is found automatically. The analysis node feeds it with
+scans and publishes its results (docs/how-to/extending.md).
 
-Plotters receive envelopes with the minimum, maximum and rms value of every interval, so that a pulse of 50 µs is
-visible at 50 Hz. They also receive the pulses alone, and amplitude spectra of the last seconds through a flat-top
-window of five cosine terms (d'Antona and Ferrero, Digital Signal Processing for Measurement Systems, 2006). A line
-between two bins is at most 0.1 % too low; in return it is ten bins wide.
+Plotters receive the minimum, maximum and rms value of each interval, so that a pulse of 50 µs is visible at 50 Hz. They
+also receive the pulses alone, and amplitude spectra of the last seconds. The spectra use a flat-top window of five
+cosine terms (d'Antona and Ferrero, Digital Signal Processing for Measurement Systems, 2006). A line between two bins is
+at most 0.1 % too low, but ten bins wide.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from impact_rig.topics import Topic
 
 
 class Blockwise:
-    """Base class of an analysis that receives the blocks of `daq/scan` and publishes its results on its own topic."""
+    """Base class of analyses that receive the blocks of `daq/scan` and publish their results on their own topic."""
 
     topic: ClassVar[Topic]  # its entry in the topics table; its publisher is `analysis`, and it carries tables
     needs: ClassVar[tuple[str, ...]]  # the channels that it requires
 
     def feed(self, scan: Table) -> Table | None:
-        """Process the next block of `daq/scan`; return the results that it completes as a table of `topic`, or None.
+        """Process the next block of `daq/scan`; return the completed results as a table of `topic`, or None.
 
-        Blocks arrive in the order in which they are published. Some may be missing, and after a reset of the rig their
-        stamps may go back.
+        Blocks arrive in the order in which they are published. Blocks may be missing, and stamps may go back after a
+        reset of the rig.
         """
         raise NotImplementedError
 
@@ -75,11 +75,13 @@ class Interval:
 
 
 class HighPass:
-    """High-pass filter at `PULSES_HZ`: it passes the pulses of impacts without the vibration.
+    """High-pass filter that removes the vibration of a channel and keeps the pulses of impacts.
+
+    The corner frequency is `PULSES_HZ` (500 Hz), but at most a fifth of the scan rate.
 
     Args:
-        rate_hz: scans per second; below 2500 Hz the corner frequency is only a fifth of it.
-        channel: name of the channel that is filtered.
+        rate_hz: scans per second.
+        channel: name of the channel to filter.
     """
 
     def __init__(self, rate_hz: float, channel: str) -> None:
@@ -88,15 +90,14 @@ class HighPass:
         self._state: NDArray[np.float64] | None = None
 
     def restart(self) -> None:
-        """Reset the filter, because the next block does not follow the last one."""
+        """Reset the filter; call this if the next block does not directly follow the last one."""
         self._state = None
 
     def feed(self, scan: Table) -> Table:
-        """Return the filter's channel of a block, high-pass filtered, as a table with one row per scan.
+        """Filter the channel in the next block, and return the result as a table with one row per scan.
 
-        Its single column `pulses` has the unit of the channel.
-
-        The filter starts as if the channel had always had its first value. It does not detect gaps: call `restart`.
+        The single column `pulses` has the unit of the channel. The filter does not detect gaps between blocks: call
+        `restart` after each gap.
         """
         values = scan.rows[self._channel]
         if self._state is None:
@@ -108,10 +109,12 @@ class HighPass:
 
 
 class Intervals:
-    """Division of a stream of blocks of any length into intervals of 20 ms (`INTERVALS_HZ`), rounded to whole scans.
+    """Division of a stream of blocks into intervals of equal length, about 1 / `INTERVALS_HZ` (20 ms).
+
+    The length is rounded to whole scans, at least one. An interval may span several blocks.
 
     Args:
-        rate_hz: scans per second, from daq/info; below `INTERVALS_HZ` each interval is one scan.
+        rate_hz: scans per second, from daq/info.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -119,14 +122,17 @@ class Intervals:
         self._pending = Recent(rate_hz, 1 << 40)
 
     def follows(self, scan: Table) -> bool:
-        """Return whether a block follows the newest one that was fed, without a gap; False for the first block."""
+        """Return whether a block directly follows the newest block that was fed.
+
+        The result is False after a gap, and for the first block.
+        """
         return self._pending.follows(scan)
 
     def feed(self, scan: Table) -> Iterator[Interval]:
-        """Add a block and yield the intervals that it completes.
+        """Add a block, and yield the intervals that the block completes.
 
-        Intervals are counted from the first scan after the last gap; one that a gap cuts short is left out.
-        Iterate to the end before the next call, since only the iteration adds the block.
+        Intervals start at the first scan after the last gap. An interval that a gap interrupts is dropped. The block is
+        added by the iteration, so iterate to the end before the next call.
         """
         self._pending.add(scan)
         if self._pending.count < self.length:
@@ -150,10 +156,10 @@ Because of this limit, a higher scan rate does not lengthen the published messag
 
 
 def amplitude_spectrum(samples: Real, rate_hz: float) -> tuple[Real, Real]:
-    """Return the amplitude spectrum of samples through a flat-top window, up to `HIGHEST_HZ`.
+    """Return the amplitude spectrum of samples up to `HIGHEST_HZ` (250 Hz).
 
-    It is given as frequencies [Hz] and peak amplitudes [unit of the samples], each of shape (bins,). The mean of the
-    samples is removed first.
+    The mean of the samples is removed first, and a flat-top window is applied. The result is (frequencies [Hz], peak
+    amplitudes [unit of the samples]), each of shape (bins,).
     """
     window = _flat_top(len(samples))
     transformed = np.fft.rfft((samples - samples.mean()) * window)

@@ -13,10 +13,9 @@
 # limitations under the License.
 """Registry of the contact laws by name, and the section `contact` of the rig's configuration.
 
-docs/how-to/extending.md shows how to add a law: a new module in this folder defines it.
-
-`LAWS` holds every law that a module of this folder defines, in alphabetical order of names. The choices and the fields
-of the configuration's `contact` section, the tables of the documentation and the tests are all made from `LAWS`.
+`LAWS` holds every law that a module of this folder defines, in alphabetical order of names. The choices and fields of
+the `contact` section, the tables of the documentation and the tests are made from `LAWS`. docs/how-to/extending.md
+shows how to add a law as a new module in this folder.
 """
 
 from __future__ import annotations
@@ -55,10 +54,10 @@ for _law in LAWS.values():
 
 
 def _with_settings_of_laws(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the attributes of the section `contact`: `own`, and those that only contact laws define.
+    """Return the attributes of the section `contact`: `own`, and the attributes that only contact laws define.
 
-    attrs calls this while it makes the class `Contact`. An attribute that `own` and a law, or two laws, have in common
-    must have the same default and metadata in both; otherwise an AssertionError names it.
+    attrs calls this function while it makes the class `Contact`. An AssertionError names an attribute to which two
+    laws, or a law and `own`, give different defaults or metadata.
     """
     found = {attribute.name: attribute for attribute in own}
     for law in LAWS.values():
@@ -90,8 +89,8 @@ class Contact:
 def from_config(contact: Contact) -> ContactLaw:
     """Return the contact law that the section `contact` of a configuration selects, with its settings.
 
-    With `calibration: exact`, an adjustable law is replaced by the law `exact`, whose damping factor makes the realised
-    restitution equal to the configured e. Any other law stays as it is.
+    With `calibration: exact`, the law `exact` replaces an adjustable law. The damping factor of `exact` makes the
+    realised restitution equal to the configured e. Any other law stays as it is.
     """
     named = LAWS[contact.law]
     law = LAWS["exact"] if contact.calibration == "exact" and named.adjustable else named

@@ -16,14 +16,13 @@
     F = K δ^1.5 (1 + a δ'/v0)        v0: approach speed of the contact; a: hysteresis factor, the laws differ in a
 
 δ is the indentation and K the Hertz stiffness. The laws differ in the formula for a as a function of the nominal
-restitution. The restitution e that such a law really gives between two free bodies, whatever K, the exponent, the
-masses and v0, solves
+restitution. The restitution e that such a law really gives between two free bodies depends only on a, and solves this
+equation:
 
     ln[(1 + a) / (1 − a e)] = a (1 + e)
 
-To derive it, integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ inwards from v0 and outwards from −e v0; the δⁿ cancels. The
-equation is solved in portable arithmetic because the simulation depends on the factors. It is solved with many digits
-and by bisection because its two sides agree to many digits where e is close to 1.
+To derive the equation, integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ inwards from v0 and outwards from −e v0; the δⁿ
+cancels. The equation is solved by bisection, with many digits in portable arithmetic.
 """
 
 from __future__ import annotations
@@ -80,16 +79,16 @@ def factor_returning(restitution: float) -> float:
 def _imbalance(a: Decimal, e: Decimal) -> Decimal:
     """Return ln[(1 + a) / (1 − a e)] − a (1 + e), which is zero where the hysteresis factor a gives the restitution e.
 
-    It is defined for a e < 1. As a function of a > 0, and as one of e, it is negative below that root and positive
+    The product a e must be < 1. As a function of either argument, the result is negative below the root and positive
     above it.
     """
     return ((ONE + a) / (ONE - a * e)).ln() - a * (ONE + e)
 
 
 def _root(high: Decimal, imbalance: Callable[[Decimal], Decimal]) -> float:
-    """Return the root of a function in (0, high) by bisection.
+    """Return the root of the function `imbalance` in the interval (0, high), by bisection.
 
-    `imbalance` is the function; it is negative below the root and positive above it.
+    The function must be negative below the root and positive above it.
     """
     low = ZERO
     while high - low > _CLOSE * high:
@@ -134,7 +133,10 @@ class HystereticLaw(ContactLaw):
         raise NotImplementedError
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the force K δ^1.5 (1 + a δ'/v0): Hertz stiffness K of the bodies `pair`, a of this law's formula."""
+        """Return the force K δ^1.5 (1 + a δ'/v0).
+
+        K is the Hertz stiffness of the bodies `pair`, and a is the hysteresis factor of this law.
+        """
         return Force(
             _hertz_damped, pair.hertz_stiffness, self.hysteresis_factor(), 1.5, self.restitution, scale_free=True
         )

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Contact law of a rigid wall: the contact takes no time, and the relative speed jumps from v to −e v.
 
-The change of the sphere's momentum goes to the superior base at the same instant. A sphere that no longer bounces stays
-on the wall and moves with the superior base, in phase ATTACHED.
+The superior base takes up the change of the sphere's momentum at the same instant. A sphere that no longer bounces
+stays on the wall and moves with the superior base, in phase ATTACHED.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _never(
     w: float,  # noqa: ARG001
     speed: float,  # noqa: ARG001
 ) -> tuple[float, float, float, float, float]:
-    """Return zeros: a rigid wall is never indented, so this force only fills the interface and is never called."""
+    """Return zeros; the function only fills the interface, because the force of a rigid wall is never evaluated."""
     return 0.0, 0.0, 0.0, 0.0, 0.0
 
 

@@ -28,10 +28,8 @@ compiled, in the library or at its first use. Its `Force` holds the constants th
 - `lossy`: the rest of F [N]. The contact loses the power lossy · δ' [W].
 - `stored`: stored energy ∫ elastic dδ [J]. What is left of it at the end of the contact is lost.
 
-On either branch the force must be smooth in w and δ', also slightly below w = 0, where a step may evaluate it. No other
-module depends on which law is used: kernels call a force through the function pointers of `CompiledForce`. The library
-contains the forces of the package's own laws. If Numba is installed, it compiles the force of any other law, and the
-kernels get its address. Without Numba the library calls back into plain Python.
+On either branch the force must be smooth in w and δ', also slightly below w = 0. The library contains the forces of the
+package's own laws. The force of any other law is compiled by Numba or, without Numba, runs as plain Python.
 """
 
 from __future__ import annotations
@@ -66,12 +64,13 @@ class Force(NamedTuple):
         factor: its second argument: hysteresis factor a [-], damping c [N s/m] or e² [-], depending on the law.
         exponent: exponent of the indentation δ in F, from which the time scale of a contact follows.
         restitution: nominal restitution; a rigid law rebounds with it.
-        lets_go: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
-        scale_free: whether contacts of all speeds are the same motion if each is measured in units made of its approach
-            speed and its time scale, so that they can be tabulated; needs a `factor` without dimension.
-        remembers: whether the force depends on its argument `turned_at`, which is 0 while the contact loads and
-            otherwise the √ of the largest indentation. A pressed sphere may ring undamped under such a law; a ringing
-            slower than `contact.speed_floor_m_s` is replaced by its position of rest.
+        lets_go: whether the contact ends as soon as the force would pull. Otherwise the force may pull, and the contact
+            ends at δ = 0.
+        scale_free: whether contacts of all approach speeds are the same motion in units of approach speed and time
+            scale, so that they can be tabulated. This needs a `factor` without dimension.
+        remembers: whether the force depends on its argument `turned_at`, the largest w so far unless the contact loads.
+            Under such a law, a pressed sphere may oscillate without damping. An oscillation slower than
+            `contact.speed_floor_m_s` is replaced by the position of rest.
         rigid: whether a contact takes no time; its force is never evaluated.
     """
 
@@ -87,7 +86,7 @@ class Force(NamedTuple):
 
 
 class ContactPair(NamedTuple):
-    """Sphere and superior base as a pair: the Hertz stiffness [N/m^1.5] and effective mass [kg] that laws need."""
+    """Sphere and superior base as a pair of bodies: their Hertz stiffness [N/m^1.5] and effective mass [kg]."""
 
     hertz_stiffness: float
     effective_mass: float
@@ -149,10 +148,10 @@ class CompiledForce(NamedTuple):
     """Force of a contact law as two functions that kernels call: pointers to compiled code, or in mode `plain` Python.
 
     Attributes:
-        at_point: function that takes (parameters, per_v0, turned_at, w, speed, step) and fills the step's `point` with
-            the results of the law's function.
-        at_stages: function that takes (parameters, per_v0, step), reads the step's one turned_at and the w and speed of
-            all its stages, and fills its force, lossy, force_by_w and force_by_speed.
+        at_point: function of (parameters, per_v0, turned_at, w, speed, step) that stores the results of the law's
+            function in the step's `point`.
+        at_stages: function of (parameters, per_v0, step) that evaluates the law at all stages of the step. It stores
+            force, lossy, force_by_w and force_by_speed in the step.
     """
 
     at_point: Any
@@ -205,9 +204,9 @@ def name_of(function: ForceFunction) -> str:
 def compiled_force(function: ForceFunction) -> CompiledForce:
     """Return a law's force function in the form that the kernels of this process can call.
 
-    The compiled function is taken from the kernel library, or else compiled by Numba. If the library lacks it and Numba
-    is not installed, compiled code calls back into plain Python, which is several hundred times slower, and a warning
-    is logged. In mode `plain`, in which kernels run as Python, they call the function itself.
+    The compiled function is taken from the kernel library, or else compiled by Numba. If neither is possible, compiled
+    code calls back into plain Python, several hundred times slower, and a warning is logged. In mode `plain`, kernels
+    call the Python function itself.
     """
     name, parts = name_of(function), ((at_point_of, AT_POINT), (at_stages_of, AT_STAGES))
     if kernels.MODE == "plain":
@@ -248,7 +247,7 @@ def _reported(force: ForceFunction, name: str) -> ForceFunction:
 def _finite(force: Any) -> Any:
     """Return a function that calls the compiled `force`; all results are NaN if the call raises an exception.
 
-    NaN ends the contact without a solution, and the simulation then ends with a SimulationError.
+    The simulation then ends with a SimulationError.
     """
 
     def finite(
@@ -281,10 +280,10 @@ def raise_failure() -> None:
 
 
 def _callback(function: Callable[..., None], kind: Function) -> Pointer:
-    """Return a pointer through which compiled code calls a Python function that evaluates a force, of the type `kind`.
+    """Return a pointer of the type `kind` through which compiled code calls a Python function that evaluates a force.
 
-    The function gets its records by address. If it raises an exception, `raise_failure` raises it again later. The
-    forces in its last argument, the record of the step, are then set to NaN, which ends the contact.
+    If the function raises an exception, the forces in its last argument (the record of the step) are set to NaN, which
+    ends the contact. `raise_failure` raises the exception later.
     """
     layout: Any = np.ctypeslib.as_ctypes_type
     types: list[Any] = [

@@ -47,10 +47,7 @@ from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 
 def contact_time_s() -> Any:
-    """Return a new attrs field for the setting `contact_time_s`: t_c [s], which gives linear laws their stiffness.
-
-    It is 1 µs … 10 ms.
-    """
+    """Return a new attrs field for the setting `contact_time_s`: the contact time t_c of a linear law, 1 µs … 10 ms."""
     return quantity(45e-6, "s", "Contact time that gives a linear law its stiffness.", at_least=1e-6, at_most=0.01)
 
 
@@ -62,20 +59,20 @@ def _spring_damper(
     w: float,
     speed: float,
 ) -> tuple[float, float, float, float, float]:
-    """Return the Kelvin–Voigt force F = k w² + c δ' in the form that `contact.law` describes.
+    """Compute the Kelvin–Voigt force F = k δ + c δ' and its derivatives, in the form that `contact.law` describes.
 
-    k is `stiffness`, c `factor`, δ' `speed`, and w the square root of the indentation δ. The results are the elastic
-    and the lossy part of F [N], the stored energy [J], ∂F/∂w and ∂F/∂δ'.
+    `stiffness` is k, `factor` is c, `w` is √δ, and `speed` is δ'. The results are the elastic and the lossy part of F
+    [N], the stored energy [J], ∂F/∂w and ∂F/∂δ'.
     """
     return stiffness * w * w, factor * speed, 0.5 * stiffness * w * w * w * w, 2.0 * stiffness * w, factor
 
 
 @attrs.frozen
 class KelvinVoigt(ContactLaw):
-    """Contact law of a linear spring and damper, with k and c such that a contact has restitution e and time t_c [s].
+    """Contact law of a linear spring and damper, for a given restitution e and contact time t_c [s].
 
-    This holds if the contact is released at zero indentation (`release: position`, the default). One that is released
-    at zero force is shorter, and its restitution is larger unless e = 1, see `realised_restitution`.
+    With `release: position` (the default), a contact ends at zero indentation and has exactly e and t_c. With `release:
+    force`, a contact ends at zero force. It is then shorter, and its restitution is larger unless e = 1.
     """
 
     name = "kelvin_voigt"
@@ -90,16 +87,17 @@ class KelvinVoigt(ContactLaw):
     )
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the force of spring and damper, with k and c from t_c, e and the effective mass of `pair`."""
+        """Return the force function of spring and damper, with constants for the effective mass of `pair`."""
         log_e = float(log(self.restitution))
         stiffness = pair.effective_mass * (PI * PI + log_e * log_e) / (self.contact_time_s * self.contact_time_s)
         damping = -2.0 * pair.effective_mass * log_e / self.contact_time_s
         return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, lets_go=self.release == "force")
 
     def realised_restitution(self) -> float:
-        """Return the restitution: e if `release` is `position` (δ = 0); with `force` (at F = 0), larger unless e = 1.
+        """Return the restitution that a contact really has.
 
-        With decay rate β = −ln(e)/t_c and ω_d = π/t_c, the force vanishes where tan(ω_d t) = −2 β ω_d / (ω_d² − β²).
+        It is e if `release` is `position`. If `release` is `force`, it is larger unless e = 1. With decay rate β =
+        −ln(e)/t_c and ω_d = π/t_c, the force vanishes where tan(ω_d t) = −2 β ω_d / (ω_d² − β²).
         """
         if self.release == "position":
             return self.restitution
@@ -118,10 +116,11 @@ def _elastoplastic(
     w: float,
     speed: float,  # noqa: ARG001  # as above
 ) -> tuple[float, float, float, float, float]:
-    """Return the Walton–Braun force in the form that `contact.law` describes; `stiffness` is k_1 and `factor` is e².
+    """Compute the Walton–Braun force F and its derivatives, in the form that `contact.law` describes.
 
-    With `turned_at` = 0 the force lies on the loading line, otherwise on the unloading line from the indentation
-    turned_at². The results are the elastic and the lossy part of F [N], the stored energy [J], ∂F/∂w and ∂F/∂δ'.
+    `stiffness` is the loading stiffness k_1 and `factor` is e². With `turned_at` = 0 the contact loads, otherwise it
+    unloads from the indentation turned_at². The results are the elastic and the lossy part of F [N], the stored energy
+    [J], ∂F/∂w and ∂F/∂δ'.
     """
     if turned_at == 0.0:
         force = stiffness * w * w
@@ -133,7 +132,10 @@ def _elastoplastic(
 
 @attrs.frozen
 class WaltonBraun(ContactLaw):
-    """Elastoplastic contact law, two straight lines without damping, with restitution e and contact time t_c [s]."""
+    """Elastoplastic contact law: loading along a straight line, unloading along a steeper one, without damping.
+
+    It has the restitution e and the contact time t_c [s].
+    """
 
     name = "walton_braun"
     formula = "loading along k δ, unloading along k/e² (δ − δ_p), no damping"
@@ -147,7 +149,7 @@ class WaltonBraun(ContactLaw):
         return pair.effective_mass / (time_scale * time_scale)
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the force of the two lines, with the loading stiffness k_1 for the effective mass of `pair`."""
+        """Return the force function with the loading stiffness k_1 for the effective mass of `pair`."""
         squared = self.restitution * self.restitution
         return Force(_elastoplastic, self.loading_stiffness(pair), squared, 1.0, self.restitution, remembers=True)
 

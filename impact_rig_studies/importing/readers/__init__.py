@@ -56,7 +56,9 @@ class Format:
     prepare: Callable[[], object] | None = None  # called after the library is imported
 
     def load(self) -> tuple[ModuleType, ...]:
-        """Import the library, call `prepare`, and return the additional arguments of `read`: (library,), or none.
+        """Import the library, call `prepare`, and return the additional arguments of `read`.
+
+        The result is (library,), or () if the format needs no library. In the latter case `prepare` is not called.
 
         Raises:
             RecordingError: the library is not installed.
@@ -94,7 +96,9 @@ FORMATS: Mapping[str, Format] = {
 
 
 def format_of(path: Path, content: bytes) -> Format:
-    """Return the format of a file by its suffix in any case; for `.mat` the content distinguishes versions 5 and 7.3.
+    """Return the format of a file, determined by its suffix.
+
+    Upper and lower case of the suffix are equal. For `.mat` the content distinguishes versions 5 and 7.3.
 
     Raises:
         RecordingError: the suffix is unknown.
@@ -112,8 +116,8 @@ def read(path: Path) -> ImportedSignals:
     therefore only causes an error.
 
     Raises:
-        RecordingError: the suffix is unknown, a library is missing, or the file cannot be read, is damaged, of another
-            format, larger than `FILE_BYTES`, or has neither numbers nor columns of texts.
+        RecordingError: the suffix is unknown, a library is missing, or the file has neither numbers nor columns of
+            texts. Or the file cannot be read, is damaged, of another format, or larger than `FILE_BYTES`.
         BudgetError: a bag is larger than `FILE_BYTES`, or the file claims more content than its size can hold.
     """
     try:

@@ -14,9 +14,9 @@
 """Reader of ROS bags of other drivers (rosbag2 with MCAP or SQLite, ROS 1), with rosbags.
 
 Each field of numbers in the messages of a topic is a signal. The time of a value is the stamp in the message's header,
-or the time of receipt if there is no stamp or it is zero. In a `PointCloud2` the columns are signals, and the column
-`time` (or `t`) contains the time of each row since the message's stamp [s]. Without that column, a cloud with a single
-row has the time of its stamp, and a topic with larger clouds is left out with a reason.
+or the time of receipt if there is no stamp or the stamp is zero. In a `PointCloud2`, each column is a signal. Its
+column `time` (or `t`) contains the time of each row since the message's stamp [s]. A topic with clouds of several rows
+but without that column is left out, with a reason.
 """
 
 from __future__ import annotations
@@ -51,17 +51,20 @@ MOST_ELEMENTS = 32  # longest array in a message; each element is a signal
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path has a suffix of bags, or if it is a directory, contains such a file or `metadata.yaml`."""
+    """Return whether a path is a ROS bag.
+
+    A file is a bag if it has a suffix of bags. A directory is a bag if it contains such a file or `metadata.yaml`.
+    """
     if path.is_dir():
         return any(one.name == "metadata.yaml" or one.suffix.lower() in SUFFIXES for one in path.iterdir())
     return path.suffix.lower() in SUFFIXES
 
 
 def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
-    """Read the numbers in the messages of a bag as signals, one per topic and field.
+    """Read the numbers in the messages of a bag as signals, one for each field of each topic.
 
     A topic is left out completely, with the reason for the user, if its messages have no numbers or no schema. It is
-    also left out if one of them cannot be decoded, has other fields than the first one, or is a cloud of several rows
+    also left out if a message cannot be decoded, has other fields than the first message, or is a cloud of several rows
     without times. The result has no signals if all topics are left out.
 
     Raises:
@@ -131,10 +134,10 @@ class _Series:
         return len(self.stamps) * (1 + len(self.columns))
 
     def add(self, message: Any, log_ns: int) -> None:
-        """Add the numbers of a message; if its fields differ from those of earlier ones, the whole topic is left out.
+        """Add the numbers of a message; if they cannot be added, only set `left_out` to the reason.
 
-        `left_out` is then set to the reason, and nothing is added. `log_ns` is the time of receipt, used if the message
-        has no stamp or a stamp of zero.
+        A message cannot be added if its fields differ from those of earlier messages. `log_ns` is the time of receipt.
+        It replaces a stamp that is missing or zero.
         """
         header = getattr(message, "header", None)
         stamp_ns = header.stamp.sec * NS_PER_S + header.stamp.nanosec if header is not None else 0
@@ -157,10 +160,10 @@ class _Series:
             self.columns[field].append(value)
 
     def _add_cloud(self, message: Any, stamp_ns: int) -> None:
-        """Add the rows of a `PointCloud2` as samples, each at the message's stamp plus the row's `time` or `t` [s].
+        """Add the rows of a `PointCloud2` as samples.
 
-        If a message of several rows has no such column, or other columns than earlier messages, only set `left_out`. A
-        single row needs no times.
+        The time of a sample is `stamp_ns` plus the column `time` or `t` of the row [s]. If several rows have no such
+        column, or the columns differ from those of earlier messages, only `left_out` is set.
         """
         order = ">" if message.is_bigendian else "<"
         fields = [one for one in message.fields if one.count == 1 and one.datatype in _DATATYPES]
@@ -190,11 +193,11 @@ class _Series:
 
 
 def _leaves(message: Any, prefix: str, unit: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
-    """Yield the numbers in a message: for each the dotted name of its field after `prefix`, and (value, unit).
+    """Yield the numbers in a message: for each number the dotted name of its field, and (value, unit).
 
-    An element of an array is `field[0]`, or `field[name]` if the message has a list `name` of the same length.
-    Constants, covariances, stamps, texts, booleans, arrays of messages and arrays longer than `MOST_ELEMENTS` are left
-    out. `unit` is that of the enclosing field, and applies to fields whose unit is unknown.
+    `prefix` is put in front of the names. An element of an array is `field[0]`, or `field[name]` if the message has a
+    list `name` of the same length. Constants, covariances, stamps, texts, booleans, arrays of messages and arrays
+    longer than `MOST_ELEMENTS` are left out. `unit` is the unit for fields whose own unit is unknown.
     """
     labels = getattr(message, "name", None)
     for field in message.__dataclass_fields__:

@@ -63,7 +63,9 @@ class Layout:
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read the columns of a text table as signals; a LabVIEW measurement file is recognised under any suffix.
+    """Read the columns of a text table as signals.
+
+    A LabVIEW measurement file is recognised by its content and read as such.
 
     Raises:
         RecordingError: more than `HEADER_LINES` lines are before the first row of numbers, there is no such row, or a
@@ -103,7 +105,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 def find_layout(lines: Sequence[str]) -> Layout | None:
     """Return the structure that the lines of a text table most likely have.
 
-    It is None if there is no row of numbers, or if more than `HEADER_LINES` lines are before the first one.
+    The result is None if no row of numbers is found after at most `HEADER_LINES` other lines.
     """
     sample = _sample(lines)
     best: tuple[int, int, int] = (0, 0, 0)
@@ -141,10 +143,9 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
 
 
 def _seen_instead(lines: Sequence[str]) -> str:
-    """Return the end of the message that no row of numbers was found: a line from the second half of the file.
+    """Return the end of the message that no row of numbers was found: it quotes a line of the file's second half.
 
-    If this line is a row of numbers, the later rows of the file have another form than the first ones, for example one
-    more column.
+    If this line is a row of numbers, the message also states that the first lines do not have its form.
     """
     sample = _sample(lines)
     if len(lines) <= 1 or not sample:
@@ -169,8 +170,8 @@ def _sample(lines: Sequence[str]) -> list[str]:
 def split(line: str, delimiter: str | None) -> list[str]:
     """Return the cells of a line, without blanks and double quotes around them.
 
-    A `delimiter` of None means blanks; delimiters within double quotes do not separate. In lines of more than
-    `LONGEST_QUOTED` characters, quotes have no meaning.
+    A `delimiter` of None means blanks. Delimiters within double quotes do not separate cells, except in lines of more
+    than `LONGEST_QUOTED` characters.
     """
     if '"' in line and len(line) <= LONGEST_QUOTED:
         if delimiter is None:
@@ -180,15 +181,15 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _is_value(cell: str) -> bool:
-    """Return whether a cell is a number in any notation, a missing number (also an empty cell) or a time."""
+    """Return whether a cell is a number in any notation, a missing number, a time, or empty."""
     return cells.number(cell) is not None or cells.number(cell, ",") is not None or cells.is_time(cell)
 
 
 def is_row(line: str, layout: Layout) -> bool:
     """Return whether a line is a row of numbers of the table.
 
-    Such a row has as many cells as the layout. Each cell in a column of numbers is a number, a missing number or a
-    time, and not all of them are missing.
+    A row of numbers has as many cells as the layout. Each cell in a column of numbers is a number, a missing number or
+    a time. At least one of them is not missing.
     """
     if not line.strip() or line.startswith(COMMENTS):
         return False
@@ -203,7 +204,10 @@ def is_row(line: str, layout: Layout) -> bool:
 
 
 def _is_other_row(line: str, layout: Layout) -> bool:
-    """Return whether a line is a row of at least two cells, all filled with numbers, but not as many as the layout."""
+    """Return whether a line is a row of numbers with another number of cells than the layout.
+
+    It must have at least two cells, and each of them must contain a value.
+    """
     row = [] if line.startswith(COMMENTS) else split(line, layout.delimiter)
     return 1 < len(row) != layout.width and all(cell and _is_value(cell) for cell in row)
 
@@ -211,8 +215,8 @@ def _is_other_row(line: str, layout: Layout) -> bool:
 def _end(lines: Sequence[str], layout: Layout) -> int:
     """Return the index of the line after the last row of numbers.
 
-    It is searched from the end of the file, across at most `TRAILING_LINES` other lines; empty ones do not count.
-    Further lines remain in the table, so that `read_rows` rejects the file if they are not rows.
+    At most `TRAILING_LINES` filled lines at the end of the file are skipped. Further lines remain in the table, where
+    `read_rows` checks them.
     """
     end = len(lines)
     for _ in range(TRAILING_LINES):
@@ -228,9 +232,9 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
     """Interpret the `lines` before the first row of numbers as headings.
 
     Returns:
-        A unique name for each column, the units in a row of units by name, and all lines without names or such units. A
-        unit within a heading stays part of the name. The name of a column without a heading is `column_` and its
-        position from 0. A repeated name gets its position, too.
+        A unique name for each column, the units (from a row of units) by name, and all lines without names or units. A
+        unit within a heading stays part of the name. A column without a heading is named `column_` and its position
+        from 0. The position is also appended to a repeated name.
     """
     width = layout.width
     usable: list[tuple[int, list[str]]] = []
@@ -276,8 +280,8 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
 def _heading_cells(line: str, layout: Layout) -> list[str]:
     """Return the cells of a line of headings.
 
-    Unlike in rows of numbers, a cell may contain single blanks, and the cells of empty columns at the end of the line
-    may be missing.
+    Unlike in rows of numbers, a cell may contain single blanks. Cells of empty columns at the end of the line may be
+    missing.
     """
     width = layout.width
     row = split(line, layout.delimiter)
@@ -297,9 +301,9 @@ def read_rows(
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
     """Return the columns of the table in the lines first <= line < end, and the indices of lines that are comments.
 
-    Lines count from 0, the first of the file. A column contains floats, or texts if it has words or times, or
-    integers if its cells contain integers only, some of them from 2^53 to 2^63, such as stamps in nanoseconds. Missing
-    numbers are NaN; empty lines are skipped.
+    Line 0 is the first line of the file. A column contains floats, or texts if it has words or times. A column of
+    integers of which some are too large for exact floats, such as stamps in nanoseconds, contains integers below 2^63.
+    Missing numbers are NaN, and empty lines are skipped.
 
     Raises:
         RecordingError: a row has another number of cells than the first one (surplus empty ones do not count), or a
@@ -325,14 +329,14 @@ def read_rows(
 
 
 def _remarks(part: list[NDArray[np.generic]], layout: Layout) -> NDArray[np.generic]:
-    """Join the parts of a mostly empty column: to numbers if all cells are numbers or empty, else to words."""
+    """Join the parts of a mostly empty column: to numbers if all cells are numbers or empty, otherwise to texts."""
     column = np.concatenate(part).astype(str).tolist() if part else []
     values = [cells.number(cell, layout.decimal) for cell in column]
     return np.array(column if None in values else values, dtype=str if None in values else np.float64)
 
 
 def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: list[int]) -> list[NDArray[np.generic]]:
-    """Return the columns of some lines, by NumPy's fast reader if all cells are plain numbers, else cell by cell.
+    """Return the columns of some lines of the table.
 
     `chunk` contains the lines with their indices in the file. The indices of comments are added to `skipped`.
 
@@ -374,7 +378,7 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
 def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
     """Convert the cells of column j to integers, floats, or texts (for words and times).
 
-    `numbers` are the indices of their lines from 0, for the message.
+    `numbers` contains the line index of each cell, for the message.
 
     Raises:
         RecordingError: a cell in a column of numbers is not a number.

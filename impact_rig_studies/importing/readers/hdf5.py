@@ -34,13 +34,13 @@ PLACES = (0, 512, 1024, 2048)  # offsets at which the content of a file may begi
 
 
 def is_hdf5(content: bytes) -> bool:
-    """Return whether the content of a file is HDF5, by the signature at one of the offsets in `PLACES`."""
+    """Return whether the content of a file is HDF5, which its signature shows."""
     return any(content[place : place + len(SIGNATURE)] == SIGNATURE for place in PLACES)
 
 
 @attrs.define
 class Hdf5Tree:
-    """Reader of the groups and datasets of an HDF5 file, which also collects what is left out, such as links."""
+    """Reader of the groups and datasets of an HDF5 file, which also records parts that it leaves out, such as links."""
 
     library: ModuleType  # h5py
     file_bytes: int  # size of the file, which limits how many values may be read
@@ -48,13 +48,16 @@ class Hdf5Tree:
     _values: int = 0  # number of values read so far
 
     def open(self, content: bytes) -> Any:
-        """Open the content of an HDF5 file as an h5py file, which is also its root group; the caller closes it."""
+        """Open the content of an HDF5 file as an h5py file.
+
+        The h5py file is also its root group. The caller must close it.
+        """
         return self.library.File(io.BytesIO(content), "r")
 
     def members(self, group: Any) -> Iterator[tuple[str, Any]]:
-        """Yield names and objects of the first `COLUMNS` members of a group; soft and external links are not followed.
+        """Yield names and objects of the first `COLUMNS` members of a group.
 
-        What is not yielded is noted in `left_out`.
+        Soft and external links are not followed. Members that are not yielded are noted in `left_out`.
         """
         for number, name in enumerate(group):
             if number >= COLUMNS:
@@ -69,11 +72,13 @@ class Hdf5Tree:
                 yield name, group[name]
 
     def array(self, name: str, dataset: Any) -> NDArray[Any] | None:
-        """Return the content of a dataset; for an empty one (null data space) return None and add it to `left_out`.
+        """Return the content of a dataset; None for an empty dataset, which is noted in `left_out`.
+
+        A dataset is empty if it has a null data space.
 
         Raises:
             RecordingError: the data are in another file or in other datasets.
-            BudgetError: with this dataset, those read have more values than a file of this size may contain.
+            BudgetError: this and all earlier datasets have more values together than a file of this size may contain.
         """
         if dataset.external:
             raise RecordingError(
@@ -106,8 +111,8 @@ class Hdf5Tree:
 def _whole(dataset: Any) -> NDArray[Any]:
     """Return the complete content of a dataset.
 
-    It is read in slabs of at most `CHUNKS_AT_ONCE` chunks: the library needs memory for each chunk of a request, and
-    some programs write a chunk for each sample.
+    It is read in parts of at most `CHUNKS_AT_ONCE` chunks, because the library needs memory for each chunk of a
+    request.
     """
     counts = [-(-length // size) for length, size in zip(dataset.shape, dataset.chunks or dataset.shape, strict=True)]
     if math.prod(counts) <= CHUNKS_AT_ONCE:
@@ -124,7 +129,7 @@ def _whole(dataset: Any) -> NDArray[Any]:
 def attribute(holder: Any, name: str) -> Any:
     """Return an attribute of an HDF5 object as a number or text, or None if it is missing or has no value.
 
-    Of an array, the first element is returned.
+    For an array, the first element is returned.
     """
     if name not in holder.attrs:
         return None

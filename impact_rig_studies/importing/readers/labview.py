@@ -59,15 +59,17 @@ class _Segment:
         return np.array([np.nan if value is None else value for value in values])
 
     def number(self, key: str, channel: int, decimal: str) -> float | None:
-        """Return the number that the header states for a channel under a key; None if it states no number."""
+        """Return the number that the header states for a channel under a key; None if there is no number.
+
+        Channels count from 0, and `decimal` is the decimal sign, `.` or `,`.
+        """
         text = self.text(key, channel)
         return cells.number(text, decimal) if text else None
 
     def text(self, key: str, channel: int) -> str:
         """Return the text that the header states for a channel under a key; empty if there is none.
 
-        Channels count from 0. If each has an X column of its own, every second cell of the header belongs to such a
-        column; these cells are skipped if they are all empty.
+        Channels count from 0. Header cells of X columns are skipped.
         """
         values = self.header.get(key, [])
         if any(name.startswith(X_VALUE) for name in self.names[1:]) and not any(one.strip() for one in values[1::2]):
@@ -76,7 +78,7 @@ class _Segment:
 
 
 def is_labview(lines: Sequence[str]) -> bool:
-    """Return whether a text is a LabVIEW measurement file, by the beginning of its first line."""
+    """Return whether the lines are a LabVIEW measurement file, which the beginning of the first line shows."""
     return bool(lines) and lines[0].startswith(BEGIN)
 
 
@@ -85,7 +87,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
     Raises:
         RecordingError: the file has another format, or no rows.
-        BudgetError: it has more values than a file of its size may contain, or too many columns.
+        BudgetError: the file has more values than a file of its size may contain, or too many columns.
     """
     lines = split_lines(decode(content)[0])
     if not is_labview(lines):
@@ -99,11 +101,12 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
     """Read the columns in the lines of a LabVIEW measurement file as signals.
 
-    The first segments, as far as each continues the one before without a gap, are joined; the others are left out.
+    Segments that continue the first segment without a gap are joined to it. All segments from the first gap on are left
+    out, with the reason for the user.
 
     Raises:
         RecordingError: the file has no rows.
-        BudgetError: it has more values than a file of its size may contain, or too many columns.
+        BudgetError: the file has more values than a file of its size may contain, or too many columns.
     """
     separator = (
         "," if any(line.startswith("Separator,") or line.lower() == "separator\tcomma" for line in lines[:40]) else "\t"
@@ -182,9 +185,9 @@ def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segm
 
 
 def _joined(segments: Sequence[_Segment], decimal: str) -> int:
-    """Return the number of segments, counted from the first, that follow each other without a gap.
+    """Return how many of the first segments follow each other without a gap.
 
-    They have the same columns, and by its header, each begins where the one before ends.
+    These segments have the same columns. By its header, each segment begins where the segment before ends.
     """
     for number, (one, after) in enumerate(itertools.pairwise(segments), 1):
         step = one.number("Delta_X", 0, decimal)

@@ -45,10 +45,10 @@ Tables = dict[str, dict[str, Any]]  # columns by name, by the path of their stru
 def read_5(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read the arrays in a MATLAB file of version 5 to 7 as signals; `library` is `scipy.io`.
 
-    The result has no signals if the file has no variables, or only empty ones.
+    The result has no signals if the file has no variables, or only empty variables.
 
     Raises:
-        RecordingError: the file has other variables, but none of them is a vector or matrix of numbers.
+        RecordingError: the file has variables that are not empty, but no vector or matrix of numbers.
         BudgetError: there are too many columns.
     """
     found = library.loadmat(io.BytesIO(content), struct_as_record=True)
@@ -82,8 +82,8 @@ def _object_reason(name: str, kind: str) -> str:
 def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, value: Any, depth: int) -> None:
     """Add a variable to `tables` as a column of the struct `where`, or to `left_out` with the reason.
 
-    The fields of a struct are added recursively, empty variables nowhere. `depth` counts the structs and cells around
-    the variable; structs at the depth `DEEPEST` are left out.
+    The fields of a struct are added recursively. Empty variables are ignored. `depth` is the number of structs and
+    cells around the variable. Structs at the depth `DEEPEST` are left out.
     """
     shown = f"{where}.{name}" if where else name
     if hasattr(value, "toarray"):
@@ -118,10 +118,11 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
 
 
 def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, depth: int) -> None:
-    """Add numbers and texts in an HDF5 group to `tables` as columns of the struct `where`, and its groups recursively.
+    """Add the numbers and texts in an HDF5 group to `tables`, as columns of the struct `where`.
 
-    Objects, cell arrays, complex numbers and structs at the depth `DEEPEST` are noted in `tree.left_out`. Texts of
-    more than `COLUMNS` characters are dropped without a note.
+    Groups within the group are added recursively. `depth` is the number of groups around it. Objects, cell arrays,
+    complex numbers and structs at the depth `DEEPEST` are noted in `tree.left_out`. Texts of more than `COLUMNS`
+    characters are dropped without a note.
     """
     for name, one in tree.members(group):
         if name.startswith("#"):  # internal data of MATLAB
@@ -153,10 +154,12 @@ def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, d
 
 
 def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, str]) -> ImportedSignals:
-    """Return the columns of all structs as signals; a struct without times or rate uses those of the structs around it.
+    """Return the columns of all structs as signals.
+
+    A struct without times and rate uses the times or the rate of the structs around it.
 
     Raises:
-        RecordingError: there are no signals, but variables were left out; the message names them.
+        RecordingError: there are no signals, but variables were left out; the message names these variables.
     """
     parts: dict[str, ImportedSignals] = {}
     for where, columns in tables.items():
@@ -188,7 +191,7 @@ def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, s
 def _outer(where: str) -> list[str]:
     """Return the dotted paths of the structs around the struct `where`, outermost first.
 
-    The first path is empty and means the file itself. For the file itself there are none.
+    The first path is empty and means the file itself. The list is empty if `where` is the file itself.
     """
     parts = where.split(".") if where else []
     return ["", *(".".join(parts[:number]) for number in range(1, len(parts)))] if parts else []

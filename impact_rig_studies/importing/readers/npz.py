@@ -30,10 +30,10 @@ from impact_rig_studies.importing.signals import ImportedSignals
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read all arrays of a NumPy archive; their sizes are checked before they are decompressed.
+    """Read all arrays of a NumPy archive as signals.
 
     Each field of a structured array becomes a column. Arrays of Python objects are left out, with the reason for the
-    user.
+    user. Sizes are checked before decompression.
 
     Raises:
         RecordingError: an array is shorter than its header claims.

@@ -26,19 +26,19 @@ from impact_rig_studies.importing.signals import ImportedSignals
 
 
 def reserve() -> None:
-    """Make pyarrow's memory pool reserve its address space, 128 MiB to 1 GiB.
+    """Make pyarrow's memory pool reserve its address space.
 
-    This is done before the memory of the reader's process is limited, so that it does not count against the limit.
+    Call this before the memory of the process is limited, so that the pool does not count against the limit.
     """
     pyarrow = __import__("pyarrow")
     pyarrow.allocate_buffer(1, memory_pool=pyarrow.default_memory_pool())
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all columns of a Parquet file; their claimed sizes are checked before they are decompressed.
+    """Read all columns of a Parquet file as signals; `library` is `pyarrow.parquet`.
 
-    Columns that cannot become an array of NumPy are left out, with the reason for the user. `library` is
-    `pyarrow.parquet`.
+    Columns that cannot become a NumPy array are left out, with the reason for the user. Sizes are checked before
+    decompression.
 
     Raises:
         BudgetError: the content is larger than a file of this size may contain, or has too many columns.
@@ -62,10 +62,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
 
 
 def _plain(column: Any) -> Any:
-    """Return a column converted to a type that NumPy has: decimals become floats, dictionaries their values.
-
-    Without this, pyarrow would load pandas for a dictionary, which takes seconds.
-    """
+    """Return a pyarrow column converted to a type that NumPy has: decimals to floats, dictionaries to their values."""
     kind = str(column.type)
     if kind.startswith("dictionary"):
         return column.cast(column.type.value_type)

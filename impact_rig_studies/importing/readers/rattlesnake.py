@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of the netCDF4 files that Rattlesnake streams: `time_data`, further streams `time_data_N`, table `channels`.
+"""Reader of the netCDF4 files that Rattlesnake streams.
 
-Each start of a stream creates a new variable (Rattlesnake, `components/streaming.py`).
+A file contains the stream `time_data`, further streams `time_data_N` and the table `channels`. Each start of a stream
+creates a new variable (Rattlesnake, `components/streaming.py`).
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read all channels of all streams of a Rattlesnake file as signals; `library` is h5py.
 
-    The name of a signal is the comment of its channel, or else its node with the direction, or else `channel_` with
-    its number from 0. If there are several streams, the name of the stream is put in front, except for the longest one.
+    The name of a signal is the comment of its channel, or else its node with the direction, or else `channel_` with its
+    number from 0. The name begins with the name of the stream, except for the longest stream.
 
     Raises:
-        RecordingError: the file is not one of Rattlesnake's, its rate is not finite and above 0, or data are kept
-            outside the file.
+        RecordingError: the file is not a Rattlesnake file, its rate is not finite and above 0, or data are kept outside
+            the file.
         BudgetError: the streams have more values than a file of this size may contain, or too many channels.
     """
     if content[:3] == b"CDF":

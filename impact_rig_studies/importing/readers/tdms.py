@@ -42,14 +42,14 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "uni
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the channels of numbers in all groups of a TDMS file as signals; the result may have none.
+    """Read the channels of numbers in all groups of a TDMS file as signals; `library` is nptdms.
 
-    The first channel of times in a group is not a signal: it lists times for the group's channels (`_abscissa`). If
-    only one group has such a channel, it also serves the other groups. Channels without values or real numbers are left
-    out, with the reason for the user. `library` is nptdms.
+    The first channel of times in a group is not a signal: it gives the times of the group's channels. If only one group
+    has such a channel, it serves all groups. Channels without values or without real numbers are left out, with the
+    reason for the user. The result may have no signals.
 
     Raises:
-        BudgetError: the file claims more values than one of its size may contain, or too many channels.
+        BudgetError: the file claims more values than a file of its size may contain, or too many channels.
     """
     file = library.TdmsFile.read_metadata(io.BytesIO(content))
     channels = [channel for group in file.groups() for channel in group.channels()]
@@ -98,7 +98,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
 
 
 def _rate_hz(holder: object) -> float | None:
-    """Return the sampling rate [Hz] that a property of a channel, group or file states; None if none does."""
+    """Return the sampling rate [Hz] that a property of a channel, group or file states; None if there is no rate."""
     stated = ((str(name), _number(one)) for name, one in holder.properties.items())  # type: ignore[attr-defined]  # untyped
     return next(filter(None, (headings.rate_hz(name, one) for name, one in stated if one is not None)), None)
 
@@ -106,10 +106,10 @@ def _rate_hz(holder: object) -> float | None:
 def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count: int) -> tuple[Abscissa, SignalKind]:
     """Return the abscissa of a channel with `count` values, and the kind of its signal, such as time response.
 
-    The step that its waveform properties state takes precedence, then the times `listed` in another channel [s], then
-    `rate_hz`. But a step of `NO_INCREMENT` may mean that none was set: then listed times take precedence. Without
-    them, the channel has no abscissa if `rate_hz` contradicts this step; otherwise the step is used, with a note for
-    the user. Listed times that are not `count` many are ignored.
+    The step in the channel's properties takes precedence, then the times `listed` in another channel [s], then
+    `rate_hz`. A step of `NO_INCREMENT` may mean that no step was set: listed times take precedence over it, and if only
+    `rate_hz` is known and contradicts it, there is no abscissa. Listed times are ignored if their number is not
+    `count`.
     """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
@@ -139,7 +139,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
 def _listed_times(group: object) -> tuple[str, Real] | None:
     """Return name and times [s] of the first channel of a group that contains times; None if there is none.
 
-    Numbers are converted to seconds by their unit, dates to seconds since the first one.
+    Numbers are converted to seconds by their unit, dates to seconds since the first date.
     """
     for channel in group.channels():  # type: ignore[attr-defined]  # as above
         name, unit = headings.split_unit(channel.name)

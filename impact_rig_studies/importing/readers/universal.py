@@ -58,7 +58,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read the time responses of a universal file.
 
     All other datasets, except those of units, are left out, with the reason for the user. A function of the general
-    type (0) also counts as a time response if its header states that it is over time.
+    type (0) is a time response if its header states that it is over time. `library` is pyuff.
 
     Raises:
         RecordingError: there is no time response; the message names the reasons.
@@ -111,7 +111,8 @@ def _add(
 ) -> None:
     """Add a dataset of type 58 to `signals` if it is a real time response, otherwise to `left_out` with the reason.
 
-    `number` is its position in the file from 0, and `system` the unit of length for values without a unit.
+    `number` is the position of the dataset in the file from 0. `system` is the unit of length for values without a
+    unit.
     """
     words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
     plain = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
@@ -146,10 +147,10 @@ def _add(
 
 
 def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
-    """Return the abscissa of a dataset with `count` values: evenly spaced times by its header, or its listed times [s].
+    """Return the abscissa of a dataset with `count` values: evenly spaced times from its header, or listed times [s].
 
-    It has another kind than `TIME` and no values if its quantity or unit is not that of a time, the increment is not
-    finite and > 0, or the listed times are not `count` many. Listed times are not checked further.
+    The kind is not `TIME`, and there are no values, if the abscissa is not a time. The same applies to an increment
+    that is not finite and > 0, and to listed times whose number is not `count`.
     """
     quantity = int(one.get("abscissa_spec_data_type", UNKNOWN) or UNKNOWN)
     unit = _label(one.get("abscissa_axis_units_lab"))
@@ -174,10 +175,10 @@ def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
 
 
 def _unit(one: dict[str, Any], system: str) -> str:
-    """Return the unit of a dataset's values: its label, or else the unit of their quantity with `system` for lengths.
+    """Return the unit of a dataset's values; empty if it is unknown.
 
-    It is empty if neither is known. The unit of values per another quantity, such as an impulse response in mm/N,
-    includes that of this quantity (`?/N` if only this one is known).
+    It is the stated unit, or else the unit of their quantity with `system` as unit of length. For values per another
+    quantity, such as an impulse response in mm/N, the unit of that quantity is appended.
     """
     label = _label(one.get("ordinate_axis_units_lab"))
     quantity, below = (int(one.get(f"{name}_spec_data_type", 0) or 0) for name in ("ordinate", "orddenom"))

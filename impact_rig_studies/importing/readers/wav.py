@@ -86,12 +86,10 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, int]:
-    """Return the format chunk of a WAV file, the bytes of its samples, and the number of bytes according to the header.
+    """Return the format chunk of a WAV file, the bytes of its samples, and their size that the header claims.
 
-    This number is larger than that of the bytes if the file was cut off. If the header leaves it open (0 or 2^32 - 1),
-    all bytes up to the end of the file are samples.
-
-    `order` is the byte order, `<` or `>`.
+    The claimed size [bytes] is larger than the number of returned bytes if the file was cut off. If the header leaves
+    the size open, all bytes up to the end of the file are samples. `order` is the byte order, `<` or `>`.
 
     Raises:
         RecordingError: the file has no format or no samples.
@@ -119,14 +117,11 @@ def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, 
 def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> Real:
     """Return the samples of all channels, interleaved, as fractions of full scale, shape (n,).
 
-    PCM is signed, except in samples of one byte. Full scale is that of all bytes of a sample, also if it has fewer
-    `bits`.
-
     Args:
         data: bytes of the samples.
         order: byte order, `<` or `>`.
         code: encoding, `PCM` or `FLOAT`.
-        width: bytes per sample.
+        width: bytes per sample, which determine full scale.
         bits: bits per sample that carry information.
     """
     if code == FLOAT:
