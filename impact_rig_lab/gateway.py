@@ -507,6 +507,18 @@ class Gateway:
         await self._set("analysis", {"gap_m": gap_m})
         return ""
 
+    def _published_knobs(self) -> dict[str, Any]:
+        """Return the parameters of the active configuration by name.
+
+        Raises:
+            Refused: the rig has not published its configuration yet, so that changes cannot be compared with it.
+        """
+        if not self.record.knobs:
+            raise Refused(
+                "the rig has not published its configuration yet: repeat this when the page shows its settings"
+            )
+        return self.record.knobs
+
     async def do_load(self, value: str) -> str:
         """Apply a configuration: set all parameters of the rig that differ from it, all at once or none.
 
@@ -520,7 +532,7 @@ class Gateway:
             ImpactRigError: the file is invalid, or the rig rejects the changes.
         """
         wanted = to_flat(from_flat(RigConfig(), parameters_in(value)))
-        present = to_flat(from_flat(RigConfig(), self.record.knobs))
+        present = to_flat(from_flat(RigConfig(), self._published_knobs()))
         changes = {name: found for name, found in wanted.items() if found != present[name]}
         fixed = sorted(name for name, about, _ in fields() if about.read_only and name in changes)
         changes = {name: found for name, found in changes.items() if name not in fixed}
@@ -549,7 +561,7 @@ class Gateway:
         if kind not in FAULT_KINDS:
             raise Refused(f"unknown kind of fault {kind!r}, known: {', '.join(FAULT_KINDS)}")
         added = fault_line(kind, channel, duration_s=duration, value=value, rate_hz=rate)
-        lines = [line for line in self.record.knobs.get(PLANNED) or () if line][-(MOST_FAULTS - 1) :]
+        lines = [line for line in self._published_knobs().get(PLANNED) or () if line][-(MOST_FAULTS - 1) :]
         await self._set("rig", {PLANNED: [*lines, added]})
         return f"fault: {added}"
 

@@ -365,7 +365,8 @@ def note_on(row: np.void | NDArray[np.void]) -> str:
     if row["status"] != Status.NO_IMPACTS.value.encode():
         return ""
     quiet_s = float(np.fmin(row["waited"], row["impact_age"]))
-    slow = f"a sphere slower than {1e3 * row['gap'] / quiet_s:.2g} mm/s" if row["gap"] > 0.0 else "a slower sphere"
+    known = row["gap"] > 0.0 and quiet_s > 0.0
+    slow = f"a sphere slower than {1e3 * row['gap'] / quiet_s:.2g} mm/s" if known else "a slower sphere"
     return f"no impacts for {quiet_s:.0f} s; {slow} could still strike"
 
 

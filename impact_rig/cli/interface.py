@@ -178,7 +178,9 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "reliability": _offers("best effort", "reliable"),
     "durability": _offers("volatile", "transient local"),
     # late subscribers receive fewer messages; no client can rely on the number kept for a slow one
-    "depth": lambda was, now, row: row.get("durability") == "transient local" and not row["taken"] and now < was,
+    "depth": lambda was, now, row: (
+        row.get("durability") == "transient local" and not row["taken"] and was is not None and (now or 0) < was
+    ),
     **dict.fromkeys(("required", "start_only"), lambda _was, now, _: bool(now)),
     "least": _reaches(-1.0),
     "most": _reaches(1.0),

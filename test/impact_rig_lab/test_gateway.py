@@ -22,6 +22,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -171,3 +172,22 @@ def test_a_sweep_has_a_default_amplitude_only_for_a_current(
         ((_, done, text),) = answers_of(client, gateway, Request(1, "sweep", plan))
         assert not done
         assert words in text
+
+
+@pytest.mark.parametrize(
+    ("action", "values"),
+    [
+        ("load", {"value": "barriers: {gap_m: 0.006}"}),
+        ("fault", {"kind": "stuck", "channel": "laser", "value": 0.0, "duration": 0.0, "rate": 0.0}),
+    ],
+)
+def test_settings_are_not_compared_with_a_configuration_that_is_not_known_yet(
+    monkeypatch: pytest.MonkeyPatch, action: str, values: dict[str, Any]
+) -> None:
+    """Before, equal defaults would not be sent, and the planned faults of the rig would be replaced."""
+    with isolated_domain() as domain_id, Client(domain_id, "rig", name="lab") as client:
+        gateway = Gateway(client, RigView(), None)
+        monkeypatch.setattr(gateway, "_gone", lambda _: "")
+        ((_, done, text),) = answers_of(client, gateway, Request(1, action, values))
+        assert not done
+        assert "has not published its configuration yet" in text

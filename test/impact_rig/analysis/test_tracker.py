@@ -25,7 +25,7 @@ from kits.tracker import RATE, record, tracker
 
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.transmissibility import measure_record, note_on
-from impact_rig.blocks import Table
+from impact_rig.blocks import TRANSMISSIBILITY, Table
 from impact_rig.errors import ConfigError
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import AnalysisWord
@@ -351,6 +351,13 @@ def test_the_wait_at_a_wide_gap_does_not_exceed_the_time_limit():
     first = measurements[0].rows[0]
     assert first["waited"] == pytest.approx(12.2, abs=0.7)
     assert note_on(first) == "no impacts for 13 s; a sphere slower than 0.96 mm/s could still strike"
+
+
+def test_a_row_without_a_wait_names_no_speed():
+    """A file of another program may contain one; its gap over no time is no speed."""
+    row = np.zeros(1, TRANSMISSIBILITY)[0]
+    row["status"], row["gap"] = b"no_impacts", 0.012
+    assert note_on(row) == "no impacts for 0 s; a slower sphere could still strike"
 
 
 def test_silence_after_impacts_extends_the_wait_beyond_the_time_limit():
