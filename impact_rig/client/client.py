@@ -581,9 +581,9 @@ class Client:
             the number of the first scan that the command acts on.
 
         Raises:
-            CommandError: both values are None, or the rig rejected the command; then the message is that of the rig. If
-                it rejected only the current, the new frequency stays applied.
-            TimeoutError: the rig neither applied nor rejected it in time, or is not active.
+            CommandError: both values are None, or the rig rejected the command, for example because it is not active;
+                then the message is that of the rig. If it rejected only the current, the new frequency stays applied.
+            TimeoutError: the rig neither applied nor rejected it in time.
             GoneError: the rig that received it is gone.
             ValueError: the client was made with `commands=False`.
         """
@@ -602,7 +602,7 @@ class Client:
             self._receive_applied()
             before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, "rig", check)
-            accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic.name))
+            accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic.name, "inactive"))
             what = f"the rig to apply the command {topic.name} = {value:g}"
             row = self.wait_until(accepted, what, timeout_s, check).rows[-1]
         if row is None:

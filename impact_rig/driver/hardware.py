@@ -530,7 +530,7 @@ def _advance(rig: RigDriver, deadline: float, what: str) -> None:
             if stopped := rig.stopped:
                 raise CommandError(stopped) from error
             if time.monotonic() >= deadline:
-                raise TimeoutError(f"timeout: waiting for {what}; drive stream: {rig.stream_level()}") from error
+                raise TimeoutError(f"timeout: waiting for {what}{_drive_stream(rig)}") from error
             if rig.runs_by_itself:
                 rig.fed.set()
         else:
@@ -538,3 +538,11 @@ def _advance(rig: RigDriver, deadline: float, what: str) -> None:
         finally:
             rig.clear()
     rig.fed.wait(deadline - time.monotonic())
+
+
+def _drive_stream(rig: RigDriver) -> str:
+    """Return the state of the rig's stream as the end of an error message; empty if the drive is not a stream."""
+    try:
+        return f"; drive stream: {rig.stream_level()}"
+    except CommandError:
+        return ""

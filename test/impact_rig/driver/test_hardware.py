@@ -385,3 +385,15 @@ def test_a_reading_beyond_its_limit_ends_the_test() -> None:
     hardware = Hardware(LocalRig(STREAM), {"current": 0.1})
     with pytest.raises(CommandError, match=r"aborted: current reads .*, beyond the limit ±0\.1 A, at scan"):
         hardware.respond(WAVE)
+
+
+class Standing(LocalRig):
+    """Rig with a sine as its drive whose time stands still, as that of a paused rig."""
+
+    def step(self, blocks: int = 1, timeout_s: float = 0.0) -> None:
+        raise TimeoutError("no block arrived")
+
+
+def test_a_rig_without_a_stream_that_stands_still_is_reported_as_a_timeout() -> None:
+    with pytest.raises(TimeoutError, match=r"^timeout: waiting for 1 scans$"):
+        Acquisition(Standing(LINEAR)).read(1, timeout_s=0.0)

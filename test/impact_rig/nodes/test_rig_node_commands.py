@@ -67,6 +67,13 @@ def test_a_rejected_command_returns_the_reason_at_once(client: Client) -> None:
     assert client.command(current_a=0.2)["frequency"] == 8.0
 
 
+def test_a_command_to_an_inactive_rig_returns_the_reason_at_once(client: Client) -> None:
+    host_rig(client, output__autostart=False)
+    client.wait_until(lambda: client.state("rig") == "unconfigured", "the node")
+    with pytest.raises(CommandError, match="the rig is unconfigured: configure and activate it first"):
+        client.command(current_a=0.2)
+
+
 def test_commands_are_rejected_and_parameters_accepted_before_activation(client: Client) -> None:
     node = host_rig(client, output__autostart=False)
     client.wait_until(lambda: client.state("rig") == "unconfigured", "the node")
