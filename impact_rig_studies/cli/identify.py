@@ -129,6 +129,9 @@ def _check_combination(arguments: argparse.Namespace) -> None:
         raise ConfigError("--config applies only to --paper, as a fitted campaign has its own configuration: omit it")
     if arguments.rig and not arguments.decay:
         raise ConfigError("--rig applies only to the run of --decay: omit it, or add --decay RUN")
+    of_decay = {"--decay": arguments.decay, "--decrement": arguments.decrement}
+    if (option := next((name for name, value in of_decay.items() if value), "")) and "decay" in arguments.without:
+        raise ConfigError(f"{option} applies to the free decay, which --without decay leaves out: omit one of them")
 
 
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
@@ -144,6 +147,11 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
     method = log_decrement if arguments.decrement else fit_decay
     if "decay" not in arguments.without:
         if arguments.decay is None:
+            if arguments.decrement and done.imported:
+                raise ConfigError(
+                    f"{arguments.directory} is an imported campaign, which has no free decay: add --decay RUN, or omit "
+                    "--decrement"
+                )
             decay = None if done.imported else measured_decay(base, method)
         else:
             with open_run(arguments.decay, arguments.rig) as recorded:

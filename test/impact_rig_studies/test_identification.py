@@ -583,6 +583,8 @@ def test_the_fit_to_the_paper_takes_no_campaign(capsys):
         (["--paper", "--e-uncertainty", "0.1"], "--e-uncertainty applies only to a campaign"),
         (["runs/campaign", "--config", "rig.yaml"], "--config applies only to --paper"),
         (["runs/campaign", "--rig", "/a"], "--rig applies only to the run of --decay"),
+        (["runs/campaign", "--decay", "runs/pluck", "--without", "decay"], "--decay applies to the free decay, which"),
+        (["runs/campaign", "--decrement", "--without", "decay"], "--decrement applies to the free decay, which"),
     ],
 )
 def test_an_option_without_an_effect_is_rejected(capsys, words, says):

@@ -673,7 +673,7 @@ def test_two_files_of_the_same_sweep_point_are_rejected(
     assert found == {(0.006, 9.1): 20, (0.003, 9.1): 15, (0.006, 9.3): 5}
 
 
-def test_no_point_is_simulated_into_an_imported_campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_simulated_for_an_imported_campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The report would show it as measured in the laboratory, with the calibration of its instruments."""
     for name, frequency_hz in (("gap_3mm", 9.1), ("gap_6mm", 9.3)):
         (tmp_path / f"{name}.csv").write_text(readings(1.0, 1e-3, frequency_hz=frequency_hz), encoding="utf-8")
@@ -683,6 +683,8 @@ def test_no_point_is_simulated_into_an_imported_campaign(tmp_path: Path, capsys:
     kept = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert main(["campaign", str(out / "campaign.yaml"), "--output", str(out)]) == 1
     assert "out holds an imported campaign, to which no simulated points can be added" in capsys.readouterr().err
+    assert main(["identify", str(out), "--decrement"]) == 1
+    assert "is an imported campaign, which has no free decay" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == kept
 
 
