@@ -217,7 +217,7 @@ def _play(opened: Run, arguments: argparse.Namespace) -> int:
         player = Player(
             opened, node, spin, factor=factor, peers=arguments.peers, chosen=arguments.topics, paused=arguments.paused
         )
-        spin(arguments.delay)
+        player.spin_for(arguments.delay)
         total = round((player.end_ns - player.start_ns) / NS_PER_S)
         with Counted(Console(stderr=True), "seconds", total) as shown:
             shown.end = "interrupted"

@@ -207,7 +207,13 @@ class Player:
         """
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(DELIVERY)
-        self._spin(LAST_WORDS_S)
+        self.spin_for(LAST_WORDS_S)
+
+    def spin_for(self, seconds: float) -> None:
+        """Run the callbacks of the node for a duration of wall time [s], however many there are."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._spin(left)
 
     def _must_wait(self, due_ns: int) -> bool:
         blocked = self._window.room() <= 0

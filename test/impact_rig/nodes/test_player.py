@@ -77,6 +77,18 @@ def test_a_paused_player_sends_the_calibration_but_no_scan(client: Client, run: 
         client.wait_until(lambda: len(scans) == BLOCKS, "every block")
 
 
+def test_a_callback_does_not_end_the_wait_for_subscribers(client: Client, run: Path) -> None:
+    """A single callback in that time, such as a call of a service, must not start the playback early."""
+    with Run(run) as opened:
+        playing, _ = follow(client, opened)
+        calls: list[float] = []
+        client.node.create_timer(0.01, lambda: calls.append(time.monotonic()))
+        begin = time.monotonic()
+        playing.spin_for(0.5)
+        assert time.monotonic() - begin >= 0.5
+        assert len(calls) > 1
+
+
 @pytest.mark.parametrize("name", ["X", "/msg/X", ".a/msg/X", "no_such_package/msg/X", "std_msgs/msg/X"])
 def test_a_run_with_a_message_type_that_is_not_installed_is_rejected(client: Client, tmp_path: Path, name: str) -> None:
     rig = LocalRig({"sphere.present": False})
