@@ -115,8 +115,8 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     config = from_flat(config, {**rate, **seed})
     if config.drive.kind != "current" or config.drive.waveform != "sine":
         raise ConfigError(
-            f"{arguments.config}: drive.kind must be current and drive.waveform sine to record at a frequency and a "
-            f"current, got {config.drive.kind} and {config.drive.waveform}"
+            f"{arguments.config}: drive.kind must be current and drive.waveform sine, the only drive that this command "
+            f"records, got {config.drive.kind} and {config.drive.waveform}"
         )
     arguments.frequency = FREQUENCY_HZ if arguments.frequency is None else arguments.frequency
     arguments.current = CURRENT_A if arguments.current is None else arguments.current

@@ -188,10 +188,12 @@ def places(names: tuple[str, ...]) -> NDArray[np.int64]:
     """Return the index of each of the named quantities in QUANTITIES, shape (number of names,).
 
     Raises:
-        ValueError: a name is not in QUANTITIES, or there are more names than QUANTITIES.
+        ValueError: a name is not in QUANTITIES, or there are more names than QUANTITIES, so that one occurs twice.
     """
+    if unknown := [name for name in names if name not in QUANTITIES]:
+        raise ValueError(f"{unknown[0]!r} is no quantity of a motion; known: {', '.join(QUANTITIES)}")
     if len(names) > len(QUANTITIES):
-        raise ValueError(f"at most {len(QUANTITIES)} quantities can be evaluated at once, got {len(names)}")
+        raise ValueError(f"each quantity must be requested only once, got {len(names)} of {len(QUANTITIES)}")
     return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 

@@ -1027,7 +1027,10 @@ def read_summary(fd: int, size: int) -> Summary:
     if start == 0:
         raise DamageError("it has no index")
     if not magic <= start <= footer_offset:
-        raise DamageError("its last record (footer) is damaged: it states that the index is outside the file")
+        raise DamageError(
+            "its last record (footer) states that the index is outside the file: the footer is damaged, or "
+            "a part of the file is missing"
+        )
     budget.allow("bytes in an index", footer_offset - start, budget.INDEX_BYTES)
     section = os.pread(fd, footer_offset - start, start)
     guarded = records.FOOTER_BYTES - 4  # the checksum covers the footer up to itself

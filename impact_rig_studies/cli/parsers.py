@@ -744,7 +744,8 @@ def add_identify(commands: Commands) -> None:
         nargs="?",
         type=Path,
         metavar="DIR",
-        help="directory of a campaign, which receives the results (required without --paper)",
+        help="directory of a measured campaign, to which constants are fitted; the results are written into it "
+        "(required without --paper)",
     )
     parser.add_argument(
         "--decay",

@@ -48,7 +48,8 @@ def current_field() -> Any:
 def superior_limit_field() -> Any:
     """Return a new attrs field `superior_limit_m` for a plan.
 
-    It is the peak displacement of the superior base [m] above which a controller run is aborted.
+    It is the peak displacement of the superior base [m] above which a phase lock, or a sweep with a controlled
+    amplitude, is aborted.
     """
     return quantity(
         0.05, "m", "Peak displacement of the superior base above which a controller aborts.", above=0, at_most=1

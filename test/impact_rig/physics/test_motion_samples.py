@@ -180,11 +180,17 @@ def test_more_names_than_quantities_are_rejected():
     """A motion has scratch memory for each quantity once: more rows would be written outside it."""
     motion, tick, zero = Simulation(rig()).advance(sine(9.1, 1.0, TICK_S, 5)), np.array([1]), np.array([0.0])
     assert motion.quantities(("x_1",) * 12, tick, zero).shape == (12, 1)
-    wrong = pytest.raises(ValueError, match="at most 12 quantities can be evaluated at once, got 13")
+    wrong = pytest.raises(ValueError, match="each quantity must be requested only once, got 13 of 12")
     with wrong:
         motion.quantities(("x_1",) * 13, tick, zero)
     with wrong:
         motion.polynomials(("x_1",) * 13, tick, zero, zero + TICK_S)
+
+
+def test_an_unknown_quantity_is_rejected_by_its_name():
+    motion, tick, zero = Simulation(rig()).advance(sine(9.1, 1.0, TICK_S, 5)), np.array([1]), np.array([0.0])
+    with pytest.raises(ValueError, match="'time' is no quantity of a motion; known: x_b, x_1"):
+        motion.quantities(("x_1", "time"), tick, zero)
 
 
 def test_times_of_another_number_of_pieces_are_rejected():
