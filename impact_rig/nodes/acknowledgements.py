@@ -107,7 +107,8 @@ class AckWindow:
         """Replace the peers that the rig waits for.
 
         A new peer need not acknowledge blocks that were published before. A former peer is still observed if it has
-        acknowledged a block. Otherwise it is dropped.
+        acknowledged a block. Otherwise it is dropped. If only waived peers remain (see `waive`), the rig waits for them
+        again.
         """
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
@@ -116,6 +117,10 @@ class AckWindow:
         for name in set(self._readers).difference(self.peers):
             if self._readers[name].acknowledged is None:
                 del self._readers[name]
+        if self.waived() == self.peers:  # without a peer to wait for, the rig would run on without limit
+            for name in self.peers:
+                reader = self._readers[name]
+                reader.forgiven, reader.heard_ns, reader.waived = self._published, self._clock(), False
 
     def watch(self, name: str) -> None:
         """Accept acknowledgements of one more reader, to observe how far it is behind; the rig does not wait for it.

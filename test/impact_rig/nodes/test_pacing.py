@@ -152,6 +152,21 @@ def test_a_rig_never_leaves_all_its_peers_behind() -> None:
     assert window.room() == 0
 
 
+def test_a_rig_left_with_a_waived_peer_alone_waits_for_it_again() -> None:
+    """The other peers may be removed from `time.peers`: without any to wait for, blocks would be lost without limit."""
+    clock = FakeClock()
+    window = AckWindow(("a", "b"), 4, NS_PER_S, clock)
+    window.published(0)
+    window.acknowledge("b", 0)
+    clock.now += 2 * NS_PER_S
+    window.waive()
+    assert window.waived() == ("a",)
+    window.set_peers(("a",))
+    for stamp in (1, 2, 3, 4):
+        window.published(stamp)
+    assert (window.waived(), window.room()) == ((), 0)
+
+
 def test_a_window_without_peers_always_has_room() -> None:
     window = AckWindow((), 4, NS_PER_S, FakeClock())
     for stamp in range(100):
