@@ -70,9 +70,11 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     Raises:
         ConfigError: the gap of a settled measurement is unknown, two runs measured the same point, or no run has a
             settled measurement.
-        RecordingError: the directory cannot be written or contains results of another rig, or the calibrations of the
+        RecordingError: the directory cannot be written or already contains a campaign, or the calibrations of the
             runs differ.
     """
+    if (directory / CAMPAIGN_FILE).exists():
+        raise RecordingError(f"{directory} holds a campaign already; nothing is overwritten: choose another directory")
     found: dict[tuple[float, float], tuple[Path, NDArray[np.void]]] = {}
     left_out: list[str] = []
     sensors: _Sensors | None = None

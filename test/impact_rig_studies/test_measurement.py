@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.cli.main import main
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.recording import open_run
 from impact_rig.runs import export, reanalysis, verification
 from impact_rig.runs.excerpts import calibration_rows
@@ -683,6 +683,8 @@ def test_nothing_is_simulated_for_an_imported_campaign(tmp_path: Path, capsys: p
     kept = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert main(["campaign", str(out / "campaign.yaml"), "--output", str(out)]) == 1
     assert "out holds an imported campaign, to which no simulated points can be added" in capsys.readouterr().err
+    with pytest.raises(RecordingError, match="holds a campaign already; nothing is overwritten"):
+        make_campaign([out / "gap_3mm"], out)
     assert main(["identify", str(out), "--decrement"]) == 1
     assert "is an imported campaign, which has no free decay" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == kept
