@@ -748,22 +748,35 @@ class Board:
     def _pump(self) -> None:
         """Advance rig time with wall time, and supply running tasks, until the board is closed; run by its thread.
 
-        A rig that runs by itself is not advanced.
+        An error of the rig ends all running tasks, whose next calls report it.
         """
         while not self._ended:
             with self.changed:
-                rig = self._rig
-                if rig is not None and rig.runs_by_itself:
-                    rig.poll()
-                    self._after_block(rig)
-                elif rig is not None:
-                    behind_s = time.monotonic() - self._epoch - rig.time_s
-                    if behind_s > BEHIND_S:
-                        self._epoch, behind_s = self._epoch + behind_s, 0.0
-                    for _ in range(int(behind_s * rig.rate_hz / rig.block_scans)):
-                        rig.step()
-                        self._after_block(rig)  # after each block, so that a busy machine causes no underrun
+                try:
+                    if self._rig is not None:
+                        self._advance(self._rig)
+                except (ImpactRigError, TimeoutError) as error:  # of the rig, so that no task can continue
+                    for task in self.tasks.values():
+                        if task.state is State.RUNNING:
+                            self._fail(task, Code.DEV_CANNOT_BE_ACCESSED, str(error))
+                    self.changed.notify_all()
             time.sleep(0.5 / BLOCKS_PER_S)
+
+    def _advance(self, rig: RigDriver) -> None:
+        """Advance the rig up to the present wall time, and supply running tasks after each block.
+
+        A rig that runs by itself is not advanced; what has arrived from it is processed.
+        """
+        if rig.runs_by_itself:
+            rig.poll()
+            self._after_block(rig)
+            return
+        behind_s = time.monotonic() - self._epoch - rig.time_s
+        if behind_s > BEHIND_S:
+            self._epoch, behind_s = self._epoch + behind_s, 0.0
+        for _ in range(int(behind_s * rig.rate_hz / rig.block_scans)):
+            rig.step()
+            self._after_block(rig)  # after each block, so that a busy machine causes no underrun
 
     def _after_block(self, rig: RigDriver) -> None:
         rig.clear()

@@ -274,6 +274,7 @@ class RosRig(RigDriver):
         if self.runs_by_itself:
             first = self.client.wait_until(self._collectors[SCANS].last, "a block of scans", STEP_TIMEOUT_S)
             self.sample = self._kept_from = self.first_scan(first)
+            self.sample = self._received_to()  # the newest block is kept, and is not one that `step` waits for
             return
         reported_ns = self.client.reported_ns
         reported_ns.pop("rig", None)  # may be older than the last step of another client

@@ -52,7 +52,7 @@ from impact_rig.cli import main
 from impact_rig.driver import LocalRig
 from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError, DaqmxTask
 from impact_rig.driver.daqmx_server import MOST_EVENTS, MOST_MESSAGE_BYTES, serving
-from impact_rig.errors import CommandError, ConfigError
+from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.rig.config import RigConfig, from_flat
 
 IDEAL = {"instruments.ideal": True, "sphere.present": False}
@@ -607,3 +607,21 @@ def test_a_repeated_buffer_is_overwritten_from_its_beginning(buffer: int | None)
             board.write(task, np.ones(10), 1.0, lambda: True, auto_start=False)
             assert np.flatnonzero(task.data == 1.0).tolist() == list(range(10))
             board.wait_until_done(task, 10.0, lambda: True)
+
+
+def _no_progress(*_: object) -> None:
+    raise SimulationError("the motion makes no progress")
+
+
+def test_an_error_of_the_rig_ends_a_read_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its thread must not end by it: each later read would wait for its full timeout, and would not say why."""
+    rig = LocalRig({**IDEAL, "drive.waveform": "stream", "drive.stream_wait": False})
+    board = Board(RigConfig(), rig)
+    with contextlib.closing(board), board.changed:
+        task = board.create("input")
+        board.add_channels(task, "ai", "Dev1/ai1", "", (-10.0, 10.0), 1.0, "Volts")
+        board.configure_clock(task, rig.rate_hz, 10 * rig.rate_hz, finite=True)
+        monkeypatch.setattr(rig, "step", _no_progress)
+        for _ in range(2):
+            with pytest.raises(DaqmxError, match="the motion makes no progress"):
+                board.read(task, rig.rate_hz, rig.rate_hz, 30.0, lambda: True)
