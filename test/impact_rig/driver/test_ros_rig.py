@@ -236,6 +236,22 @@ def test_a_rig_in_lockstep_is_joined_at_its_present_scan(tmp_path: Path, monkeyp
             operator.trigger("rig/step")  # the node that has ended is no peer
 
 
+def test_a_step_of_a_joined_rig_in_real_time_waits_for_blocks_that_are_not_there_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs", "/rig") as processes:
+        processes.start("rig", {**LINEAR, "time.mode": "realtime"})
+        with Client(domain_id, "/rig", processes, "operator") as operator:
+            operator.wait_active("rig")
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+        with RosRig(namespace="/rig") as rig:
+            newest = rig.tables()[-1]
+            assert rig.sample >= rig.first_scan(newest) + len(newest.rows)
+            before = rig.sample
+            rig.step(1)
+            assert rig.first_scan(rig.tables()[-1]) >= before
+
+
 def test_empty_lines_of_planned_faults_are_no_faults() -> None:
     with RosRig({**LINEAR, "instruments.faults.planned": [" ", LOST.line(10_000)]}, hosted=True) as rig:
         assert rig.inject(fault := Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3)) == 2
