@@ -420,7 +420,7 @@ def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
 def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, Any]:
     """Decode the first members of a serialised message, and return their values by path.
 
-    A value is a number, a text, or a tuple of numbers for an array.
+    A value is a number, a text, or a tuple of numbers for an array of two or more.
 
     Args:
         data: a message of any type that starts with `std_msgs/Header`.

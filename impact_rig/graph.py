@@ -50,7 +50,7 @@ def frame_prefix(namespace: str, given: str = "") -> str:
     Args:
         namespace: namespace of the rig node; `/left/rig` gives `left/rig/`.
         given: configuration value `output.frame_prefix`. Unless empty, it replaces the namespace, and is returned
-            without leading slashes, which tf2 does not accept. So `/` gives no prefix.
+            without leading slashes, which tf2 does not accept. So `/` gives no prefix. No slash is appended to it.
     """
     if given:
         return given.lstrip("/")

@@ -171,7 +171,8 @@ def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], b
 
     An excited line has at least `EXCITED` times the power of the strongest line, and `ABOVE_NOISE` times the noise
     density `floor`. Index 0 never counts. If the window alone explains the width of all excited lines, the excitation
-    is a sine. Then only the index of the strongest line is returned.
+    is a sine. Then only the index of the strongest line is returned. Without an excited line, the result is (empty
+    array, False).
     """
     power = s_xx[1:]
     peak = int(np.argmax(power))

@@ -18,9 +18,9 @@ pulse, followed by the sensor's ringing (25 kHz behind a 10 kHz low-pass). An im
 
     threshold = max(threshold_m_s2, noise_factor · rms,  ring_factor · peak · e^{−since/ring_time})
 
-Here rms is the tracked rms of the quiet signal, peak is that of the previous impact, and since is the time since the
-previous impact. The time of an impact is the instant at which the pulse passes the fraction `ONSET` of its peak, minus
-the sensor's lag. It is within 10 µs of the first touch at 50 kS/s.
+Here rms is the tracked rms of the quiet signal, peak is the largest magnitude of either sign during the previous
+impact, and since is the time since the previous impact. The time of an impact is the instant at which the pulse passes
+the fraction `ONSET` of its peak, minus the sensor's lag. It is within 10 µs of the first touch at 50 kS/s.
 """
 
 from __future__ import annotations

@@ -13,10 +13,10 @@
 # limitations under the License.
 """Settings of the analysis, and the operator's label of the gap between the barriers.
 
-The rig does not publish its gap, because the analysis must measure without knowing the true value. The operator labels
-the gap with a remark on the topic `notes`. The remark `gap_m=0.006 at 12500000` means a gap of 6 mm from the rig time
-12500000 ns on. Because of this time, live analysis and later analysis of the recorded run apply the label from the same
-scan on.
+The analysis does not read the gap that is configured for the rig, because it must measure without knowing the true
+value. The operator labels the gap with a remark on the topic `notes`. The remark `gap_m=0.006 at 12500000` means a gap
+of 6 mm from the rig time 12500000 ns on. Because of this time, live analysis and later analysis of the recorded run
+apply the label from the same scan on.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ order:
   noise, and the amplitude repeats from cycle to cycle (or after a few cycles). The first row after a change waits until
   the bias, at the decay rate so far, is `REMNANT` of the limit;
 2. stationary: the last `long_windows` windows have neither a trend nor a changing fluctuation (modulated or chaotic
-  response), and contain at least `FEW` impacts. With fewer impacts, the fluctuation is the end of a transient, or the
-  sphere has only started to strike;
+  response). If the response does not repeat and impacts are counted, the windows contain at least `FEW` impacts. With
+  fewer impacts, the fluctuation is the end of a transient, or the sphere has only started to strike;
 3. the bound `wait_limit_s` is reached: the row has the present numbers and the status `not_settled`.
 
 A sphere that drifts slowly from wall to wall does not disturb the structure until it strikes. A row without impacts is

@@ -515,8 +515,8 @@ class Client:
         """Create a node in this process, and run it in this client's executor.
 
         The node works only while the client waits. If `make_node` accepts `**kwargs`, it gets this client's ROS context
-        and namespace as arguments. Otherwise, the context is rclpy's default one during the call, and the node has no
-        namespace.
+        and namespace as arguments. Otherwise, the client makes its context rclpy's default context during the call, and
+        the node has no namespace.
 
         Args:
             make_node: class or function that creates the node.

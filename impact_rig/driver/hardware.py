@@ -217,7 +217,7 @@ class AnalogOutput:
     def _lost(self) -> int:
         """Return the number of samples missed since the last call.
 
-        If the rig has already passed `next_sample`, this number is increased to the first sample that can arrive in
+        If the rig has already passed `next_sample`, `next_sample` is increased to the first sample that can arrive in
         time. The skipped numbers count as missed, too.
 
         Raises:
@@ -361,10 +361,10 @@ class Acquisition:
             self.next_scan = self._kept[0][0]
 
     def _count_withheld(self) -> None:
-        """Count scans that a fault withholds as lost, if the rig advances only in `step`.
+        """Count the scans that a fault withholds in `lost`, if the rig advances only in `step`.
 
-        Otherwise, the next block would show the gap. But the rig may wait for samples before that block, and the
-        program may write them only after it has read the withheld scans.
+        The next block would also show the gap. But such a rig may wait for samples before that block, and the program
+        may write them only after its `read` has passed the withheld scans.
         """
         taken = self._rig.sample
         if self._started and not self._rig.runs_by_itself and self.next_scan is not None and taken > self._end:

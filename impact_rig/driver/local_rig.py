@@ -460,7 +460,7 @@ def _encoded(one: Table | JournalEntry) -> bytes:
 def _settings(analysis: Mapping[str, Any]) -> tuple[TrackerSettings, float | None]:
     """Return the settings of the analysis, and the operator's gap [m]: NaN if unknown, None if not given.
 
-    `analysis` has both; a negative `gap_m` means unknown.
+    `analysis` may have both; a negative `gap_m` means unknown.
 
     Raises:
         ConfigError: a setting is unknown or invalid.

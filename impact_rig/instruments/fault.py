@@ -339,8 +339,8 @@ class FaultBoard:
         """Apply the `stuck` faults of a channel to its readings [unit], in place.
 
         During such a fault, the last reading before the fault is repeated. `first` is the scan number of the first
-        reading. `last` is the reading before it, or None at the start. The flags of repeated readings in `clipped` are
-        cleared.
+        reading. `last` is the reading before it, or None at the start, where the first reading is repeated instead. The
+        flags of repeated readings in `clipped` are cleared.
         """
         for active in self._faults:
             if active.fault.channel == channel and active.fault.kind == "stuck":
