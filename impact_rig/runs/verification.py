@@ -894,7 +894,7 @@ class _Monitor:
         try:
             layout = members(schema) if schema else []
         except RecordingError as error:
-            raise RecordingError(f"{run.path}: the message definition of {topic.name} cannot be used: {error}") from error
+            raise RecordingError(f"{run.path}: the definition of messages on {topic.name}: {error}") from error
 
         def read(message: Message) -> tuple[int, dict[str, Any]]:
             return codec.header_stamp_ns(message.data), codec.plain(message.data, layout)
