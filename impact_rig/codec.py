@@ -548,8 +548,8 @@ def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
             columns[name] = (TEXT, offset)
         else:
             raise CodecError(
-                f"count of field {name!r} must be 1, got {repeat}; only a text has the count {_TEXT_DTYPE.itemsize}, and "
-                f"the datatype {_UINT8} (UINT8)"
+                f"count of field {name!r} must be 1, got {repeat}; only a text has the count {_TEXT_DTYPE.itemsize}, "
+                f"and the datatype {_UINT8} (UINT8)"
             )
     return columns
 

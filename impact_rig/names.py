@@ -135,8 +135,8 @@ def identifier(text: str) -> str:
 def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
     r"""Return a text that matplotlib draws literally, except for simple symbols such as `$x_1$`.
 
-    The text is cut to `limit` characters. Its dollar signs are escaped unless every formula in the text is a simple
-    symbol. Characters that do not print, except line feeds, are escaped as well.
+    The text is cut to `limit` characters. Its dollar signs are escaped unless all of them enclose simple symbols.
+    Characters that do not print, except line feeds, are escaped as well.
     """
     text = visible(text if len(text) <= limit else f"{text[: limit - 1]}…", lines=True)
     parts = _DOLLAR.split(text)

@@ -202,7 +202,8 @@ def has_code_of(path: Path, stamp: Sequence[str]) -> bool:
 def is_cut_off(path: Path) -> bool:
     """Return whether an ELF file (64 bit, little-endian) is incomplete: it ends before its section headers.
 
-    The result is False for any other file. Loading an incomplete library could end the process by a signal.
+    The result is False for any other file, and for a file below 64 bytes. Loading an incomplete library could end the
+    process by a signal.
     """
     with path.open("rb") as file:
         head = file.read(64)
@@ -303,7 +304,10 @@ def _compiled(function: FunctionT) -> FunctionT:
 
 
 def address(name: str) -> int:
-    """Return the address of the library's function `name`, such as `physics.event_loop.run`; 0 if there is none."""
+    """Return the address of the library's function `name`, such as `physics.event_loop.run`.
+
+    The result is 0 if there is no such function, or if this process uses no library.
+    """
     return int(_LIBRARY.address(name)) if _LIBRARY is not None else 0
 
 

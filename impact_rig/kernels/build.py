@@ -344,7 +344,8 @@ def _compile(arguments: list[str]) -> None:
 def main() -> None:
     """Run the command of this module: build the kernels into a folder.
 
-    If the package's own kernels are up to date and made for the requested machine, they are copied instead of built.
+    If the package's own kernels are up to date and made for the requested machine, they are not built again. They are
+    copied if the folder is not the package's own.
     """
     parser = argparse.ArgumentParser(
         description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"

@@ -72,8 +72,8 @@ class _Reader:
 class AckWindow:
     """Record of the blocks that each reader has acknowledged, which limits how many blocks the rig may publish.
 
-    A block is one message on `daq/scan`. An acknowledgement contains the stamp of a block, and covers all earlier
-    blocks. The rig may publish `room` more blocks. Readers that are no peers are only observed.
+    A block is one message on `daq/scan`. An acknowledgement contains the stamp of a block, and covers this block and
+    all earlier blocks. The rig may publish `room` more blocks. Readers that are no peers are only observed.
 
     Args:
         peers: node names of the peers, which they also use in their acknowledgements.
@@ -106,9 +106,9 @@ class AckWindow:
     def set_peers(self, peers: Iterable[str]) -> None:
         """Replace the peers that the rig waits for.
 
-        A new peer need not acknowledge blocks that were published before. A former peer is still observed if it has
-        acknowledged a block. Otherwise it is dropped. If only waived peers remain (see `waive`), the rig waits for them
-        again.
+        A new peer need not acknowledge blocks that were published before. Any other reader, such as a former peer, is
+        still observed if it has acknowledged a block. Otherwise it is dropped. If only waived peers remain (see
+        `waive`), the rig waits for them again.
         """
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
@@ -204,8 +204,8 @@ class AckWindow:
     def heard_ns(self, name: str) -> int:
         """Return the time from which the silence of a reader is measured [ns of the clock given to this window].
 
-        This is usually the time at which the reader last acknowledged a further block. It is later if the reader had no
-        block to acknowledge since, or if its timeout was restarted.
+        This is usually the time at which the reader was added, or last acknowledged a further block. It is later if the
+        reader had no block to acknowledge since, or if its timeout was restarted.
         """
         return self._readers[name].heard_ns
 
@@ -221,7 +221,7 @@ class AckWindow:
         self.forgive(self.peers)
 
     def waived(self) -> tuple[str, ...]:
-        """Return the names of the peers that `waive` found silent and that have acknowledged nothing since."""
+        """Return the names of the peers that the rig does not wait for, because `waive` found them silent."""
         return tuple(name for name in self.peers if self._readers[name].waived)
 
     def excuse(self) -> None:

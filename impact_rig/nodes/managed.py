@@ -483,8 +483,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
             service_type: `Trigger` or `SetBool`.
             name: service name.
             on_request: called with each request and a function that answers it, now or later. Only the first answer is
-                sent. An exception answers the request without success. Exceptions other than ImpactRigError are also
-                reported by `report_failure`. Answers without success are logged and counted.
+                sent. An exception answers the request without success and with the message of the exception. Exceptions
+                other than ImpactRigError are also reported by `report_failure`. Answers without success are logged and
+                counted.
             check_sent: called before `on_request` with the system time at which the request was sent [ns]; raises an
                 ImpactRigError to reject the request.
         """

@@ -186,7 +186,7 @@ def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersR
 
 
 def descriptor(about: FieldInfo, value: Value) -> ParameterDescriptor:
-    """Return the ROS descriptor of a parameter: description, unit, type, range and whether it is read-only.
+    """Return the ROS descriptor of a parameter: description, unit, range and whether it is read-only.
 
     Ranges of ROS include their limits. If a limit itself is not allowed, the text of the descriptor says so, and the
     validator rejects the limit.

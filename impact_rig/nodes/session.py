@@ -501,7 +501,7 @@ class Session:
 
         A process counts as suspended if more than `AWAY_S` passed between two calls. The timeouts of the peers then
         start again. After more than `EXPIRES_S` with little use of the processor, `refuse_backlog` also rejects
-        commands sent during the suspension.
+        commands that were sent before the process resumed.
         """
         now, used_s = time.monotonic(), time.process_time()
         before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()
@@ -640,8 +640,9 @@ class Session:
         """Request `steps` steps of `step.blocks` blocks each, and advance the rig as far as possible now.
 
         `done` is called with success when every peer has acknowledged all blocks of all requested steps. It is called
-        with an error if a peer or samples of the drive are missing for longer than `time.peer_timeout_s`. Reset and
-        deactivation also give an error, and so does resuming the rig, except in lockstep.
+        with an error if a peer does not subscribe or acknowledge, or samples of the drive are missing, for longer than
+        `time.peer_timeout_s`. Reset and deactivation also give an error, and so does resuming the rig, except in
+        lockstep.
         """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()

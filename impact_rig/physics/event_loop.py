@@ -121,8 +121,8 @@ class Workspace(NamedTuple):
         impacts: records of IMPACT: the finished contacts.
         first_state: for each drive segment the row of `history` with its first state; the last element is the number of
             rows.
-        first_segment: for each tick the index of its first segment; the last element is the number of segments. A tick
-            consists of one or more segments.
+        first_segment: for each tick the index of its first segment; the element after the last tick is the number of
+            segments. A tick consists of one or more segments.
     """
 
     states: NDArray[np.void]
@@ -140,7 +140,7 @@ WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, COUNTS, STAT
 
 
 def new_workspace(states: int, impacts: int) -> Workspace:
-    """Return a zeroed workspace with room for `states` rows of history and for `impacts` impacts.
+    """Return a workspace whose state is zero, with room for `states` rows of history and for `impacts` impacts.
 
     The caller must replace `first_state` and `first_segment` by arrays with one element more than there are segments.
     """

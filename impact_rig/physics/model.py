@@ -131,7 +131,10 @@ def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
 
 @lru_cache(maxsize=32)
 def _table(force: Force) -> Any:
-    """Return the table of contact outcomes of a force in dimensionless units, in which stiffness and masses are 1."""
+    """Return the table of contact outcomes of a force in dimensionless units, in which all masses are 1.
+
+    The stiffness of `force` must be 1 as well.
+    """
     return tabulate(unit_parameters(force), compiled_force(force.function))
 
 

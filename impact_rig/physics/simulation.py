@@ -172,8 +172,8 @@ class Motion:
             The coefficients, constant first, shape (names, n, NODES).
 
         Raises:
-            ValueError: a tick is not in this motion, no quantity has such a name, or there are more names than
-                `QUANTITIES`.
+            ValueError: a tick is not in this motion, the shapes differ, no quantity has such a name, or there are more
+                names than `QUANTITIES`.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         start_s, end_s = (np.ascontiguousarray(times, np.float64) for times in (start_s, end_s))

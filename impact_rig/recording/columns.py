@@ -195,8 +195,8 @@ def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns
 def _described(run: Run, topic: str) -> dict[str, dict[str, str]]:
     """Return the known units (`units`) and descriptions (`long_name`) of the columns of a topic, by column name.
 
-    They are those of `impact_rig.topics`. The channels of `daq/scan` have no description, and the units in the recorded
-    `daq/info` of the same rig.
+    They are those of `impact_rig.topics`. The channels of `daq/scan` have no description. Their units are those in the
+    recorded `daq/info` of the same rig.
     """
     name = run.resolve(topic)
     prefix = _prefix(run, name)

@@ -14,8 +14,8 @@
 """Losses of a recording: messages that never reached the recorder, and gaps between the stamps of scans.
 
 rclpy provides the sequence number of a message but not its sender. The numbers of a topic are therefore sorted into
-streams, one per publisher. A message continues the stream whose next number it has. Without such a stream there are two
-cases. If the graph has a publisher without a stream, the message starts a stream for this publisher. Otherwise the
+streams, one per publisher. A message continues the stream whose next number it has. Without such a stream, the message
+starts a new stream if the graph has a publisher without a stream, or if no stream has a smaller number. Otherwise the
 message continues the stream with the largest smaller number, and the numbers in between count as lost messages.
 
 The stamp of scan i is `start_ns + i * 10**9 // rate_hz`: exact integers, so one missing scan in an hour is detected.
