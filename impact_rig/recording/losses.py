@@ -73,11 +73,19 @@ class PublisherStream:
 
 @attrs.define
 class _Topic:
-    streams: list[PublisherStream] = attrs.field(factory=list)
+    streams: list[PublisherStream] = attrs.field(factory=list)  # the longest inactive one first
     count: int = 0  # number of streams, including dropped ones
     known: dict[str, str] = attrs.field(factory=dict)  # publishers seen in the graph so far
     unnumbered: int = 0
     forgotten: PublisherStream | None = None  # sum of the dropped streams
+
+    def take(self, place: int, sequence: int) -> str:
+        """Count a message for the stream at an index of `streams`, and return its publisher."""
+        stream = self.streams[place]
+        stream.take(sequence)
+        if place < len(self.streams) - 1:
+            self.streams.append(self.streams.pop(place))
+        return stream.publisher
 
 
 class Account:
@@ -103,10 +111,9 @@ class Account:
         if sequence <= 0:
             known.unnumbered += 1
             return ""
-        for stream in known.streams:
+        for place, stream in enumerate(known.streams):
             if stream.newest + 1 == sequence:
-                stream.take(sequence)
-                return stream.publisher
+                return known.take(place, sequence)
         return self._take_unexpected(topic, known, sequence)
 
     def lost(self) -> dict[str, int]:
@@ -134,11 +141,9 @@ class Account:
         present = dict(self._publishers(topic)) if self._publishers is not None else {}
         new = [name for identifier, name in present.items() if identifier not in known.known]
         known.known |= present
-        earlier = [stream for stream in known.streams if stream.newest < sequence]
+        earlier = {stream.newest: place for place, stream in enumerate(known.streams) if stream.newest < sequence}
         if earlier and known.count >= max(len(known.known), 1):
-            stream = max(earlier, key=lambda one: one.newest)
-            stream.take(sequence)
-            return stream.publisher
+            return known.take(earlier[max(earlier)], sequence)
         stream = PublisherStream(new[0] if len(new) == 1 else "", sequence, sequence)
         known.streams.append(stream)
         known.count += 1

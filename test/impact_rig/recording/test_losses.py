@@ -78,6 +78,19 @@ def test_a_loss_is_found_however_many_publishers_there_were_before():
     assert account.lost() == {TOPIC: MAX_STREAMS + 6}
 
 
+def test_a_publisher_that_stays_keeps_its_account_while_others_come_and_go():
+    """The rig publishes /diagnostics throughout; other nodes may restart a hundred times in one recording."""
+    present = {"rig": "/rig/rig"}
+    account = Account(lambda _: present)
+    lasting = 1000
+    for number in range(MAX_STREAMS + 6):
+        account.take(TOPIC, lasting + number)
+        present = {"rig": "/rig/rig", str(number): "/rig/analysis"}
+        for sequence in (1, 2, 3):
+            account.take(TOPIC, sequence)
+    assert account.lost() == {}
+
+
 def test_memory_is_bounded_for_any_number_of_publishers():
     account = Account()
     for _ in range(10 * MAX_STREAMS):
