@@ -583,8 +583,8 @@ class Gateway:
         a lab that has started the rig starts this node first.
 
         Args:
-            frequencies: frequencies of the points [Hz], in any order; a phase lock only begins its search at the first
-                point.
+            frequencies: frequencies of the points [Hz], in any order. A phase lock uses only the lowest (the highest if
+                `direction` is down), at which its search begins.
             direction: order of the points: up, down or up_down.
             hold: quantity that is kept constant: command, current, base or superior; phase means a phase lock.
             target: peak amplitude to which current, base or superior is controlled [A or m]; ignored for command and

@@ -246,8 +246,9 @@ class RigHistory:
     def part(self, start_ns: int) -> list[list[Any]]:
         """Return all lines for the page, ordered by time, each as [time in s since scan 0, kind, key, text].
 
-        An example is [12.5, "parameter", name, value]. The beginning of a fault is [time, "fault", "begins", which
-        fault], and a remark is [time, "note", "", remark]. If nothing is new, the result is the same object as before.
+        An example is [12.5, "parameter", name, value]. The beginning or end of a fault is [time, "fault",
+        "begins" or "ends", which fault]. The command that requests a fault is [time, "fault", which fault, size]. A
+        remark is [time, "note", "", remark]. If nothing is new, the result is the same object as before.
 
         Args:
             start_ns: stamp of scan 0.

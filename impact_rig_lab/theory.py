@@ -69,8 +69,8 @@ def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
         values: parameters of the rig by name.
 
     Returns:
-        Pairs [frequency in Hz, DT] from 5 to 14 Hz, denser near the natural frequency; none if the natural frequency or
-        the damping ratio is unknown or 0.
+        Pairs [frequency in Hz, DT] from 5 to 14 Hz, and closely spaced near the natural frequency; none if the natural
+        frequency or the damping ratio is unknown or 0.
     """
     natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
     if not natural or not damping:

@@ -261,7 +261,8 @@ class Board:
         devices: names under which clients find the board.
 
     Attributes:
-        changed: condition that guards the tasks and the rig; it is notified after each change.
+        changed: condition that guards the tasks and the rig; it is notified after each block of scans, and
+            when a task is cleared or fails.
         tasks: tasks by name.
     """
 

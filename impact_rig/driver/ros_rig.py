@@ -237,7 +237,8 @@ class RosRig(RigDriver):
         for key, value in (differences(required) if isinstance(required, RigConfig) else required).items():
             if values[key] != value:
                 raise ConfigError(
-                    f"the running rig has {key}: {values[key]}, but {value} is required; start it with that value"
+                    f"the running rig has {key}: {values[key]}, but {value} is required; start a rig with that value, "
+                    "or set the parameter if it can change while the rig runs, and reset the rig"
                 )
         return config
 

@@ -205,7 +205,8 @@ def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
 class ManagedNode(LifecycleNode, Generic[S]):
     """Lifecycle node with validated parameters and diagnostics, which continues after an exception in a callback.
 
-    The exception is logged and shown in diagnostics. A lifecycle transition that raises one fails.
+    The exception is logged and shown in diagnostics. A lifecycle transition that raises one fails, except
+    deactivation, which succeeds nevertheless.
 
     Args:
         name: node name.

@@ -243,10 +243,10 @@ class RunWriter:
         self._write(channel, data, self._clock_ns.now_ns, publish_time_ns, sequence, counted=True)
 
     def _begin_without_scans(self) -> None:
-        """Write the messages that wait for a first scan, without the scan.
+        """Write the messages that wait for a first scan, although no scan has arrived.
 
-        The run ends, or too many messages wait. Their log time is the newest of their header stamps. If none has a
-        stamp, the log time of each message is its publish time, or the log time before if that is later.
+        Call this when the run ends or too many messages wait. Their log time is the newest of their header stamps. If
+        none has a stamp, the log time of each message is its publish time, or the log time before if that is later.
         """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
         self._write_early(max(stamps, default=0) or None)

@@ -74,7 +74,7 @@ class Excerpt:
 
         Times are in seconds, counted as in `rows`.
         """
-        where = "of the last settled measurement" if self.settled else "of the end of the run; nothing settled"
+        where = "of the last settled measurement" if self.settled else "of the end of the run, as nothing settled"
         return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"
 
 
@@ -277,7 +277,7 @@ def sines_of(run: Run, excerpt: Excerpt) -> Sines:
     if reference.status is not Status.OK:
         raise RecordingError(
             f"{run.path}: the channel {name} is not a sine of the drive frequency {excerpt.drive_hz:g} Hz in the scans "
-            f"{excerpt}: {reference.status.value} ({reference.status.doc})"
+            f"{excerpt}; its fit gives {reference.status.value} ({reference.status.doc})"
         )
     return Sines(
         reference=reference,

@@ -237,8 +237,8 @@ def _verdict(
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
     """Return the total numbers of blocks and scans of all rigs in a recording, and their gaps.
 
-    The result is None if the scan rate of a rig with scans is unknown, or of all rigs. Gaps are found for each rig
-    separately.
+    The result is None if the scan rate of a rig with scans is unknown, or if no rig has a known scan rate.
+    Gaps are found for each rig separately.
     """
     found = [
         check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts, resets=rig.resets) for rig in rigs if rig.rate_hz
@@ -273,7 +273,10 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
 
 
 def _absent_files(run: Run) -> list[str]:
-    """Return a clause for each missing file: `metadata.yaml` of a directory, and any next file that the last names."""
+    """Return a clause for each missing file: `metadata.yaml` of a directory, or the next MCAP file.
+
+    The last MCAP file of a run is expected to name no next file. If it names one, that file is missing.
+    """
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []

@@ -645,7 +645,10 @@ class _Salvage:
                     report.note(self._damage(found, reason))
 
     def introduce_topics(self, writer: RunWriter) -> None:
-        """Register all topics of this file that are known so far in the writer of the new run, by channel id."""
+        """Register the topics of this file in the writer of the new run, in the order of their channel ids.
+
+        Only topics that are known so far are registered.
+        """
         for _, topic in sorted(self._topics.items()):
             self.introduce(topic, writer)
 

@@ -119,8 +119,8 @@ def atomic_write(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
 def _create_partial(path: Path) -> tuple[int, Path]:
     """Create and lock a temporary file, which is moved to `path` later, and return its descriptor and path.
 
-    A temporary file for `path` that a killed process left behind is removed. If another process writes its own now, the
-    name gets a random part.
+    A temporary file for `path` that a killed process left behind is removed. If another process is writing to `path`
+    now, the name of the temporary file gets a random part.
 
     Raises:
         OSError: the file cannot be created.
@@ -381,11 +381,10 @@ def hold(folder: str, name: str) -> int | None:
 
 
 def is_held_by_others(folder: str, name: str) -> bool:
-    """Return whether a lock is certainly held by a process that is no rig.
+    """Return whether a lock is certainly held by a process that did not acquire it with `hold`, so it is no rig or lab.
 
-    A rig acquires a lock with `hold`, which writes the id of its process into the lock's file. The result is True if
-    the lock is held by a process with another id. It is False if the lock is free or its holder is unknown, for example
-    in another container.
+    `hold` writes the id of its process into the lock's file. The result is True if the process that holds the lock
+    has another id. It is False if the lock is free or its holder is unknown, for example in another container.
     """
     holding = holder(folder, name)
     if not holding:  # the lock is free, or its holder is in another container

@@ -78,7 +78,7 @@ INTERNAL = ("/parameter_events", "/rosout")
 
 
 class BlockedError(AssertionError):
-    """Error that code of a hosted node does not return.
+    """Error raised if code of a hosted node does not return.
 
     The code waits although no other callback can run, or it runs for longer than `BUSY_S` seconds of wall time.
     """
@@ -540,8 +540,9 @@ class LocalRigWithNodes(LocalRig):
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
         """Provide the context in which code of a hosted node runs.
 
-        In it, `time.sleep` returns at once, and delays later messages of the code by its rig time. If the code waits
-        for anything else, or does not return, `BlockedError` is raised. `what` is the name of the code in its message.
+        In it, `time.sleep` returns at once, and delays later messages of the code by the requested rig time. If the
+        code waits for anything else, or does not return, `BlockedError` is raised. `what` is the name of the code in
+        the error message.
         """
 
         def publish(publisher: Any, message: Any) -> None:

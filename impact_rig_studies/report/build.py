@@ -97,7 +97,8 @@ def build_report(
     done = run.open_finished(directory)
     if not done.points:
         raise RecordingError(
-            f"{directory} holds no measured point yet: repeat the command that began this campaign, which continues it"
+            f"{directory} holds no measured point yet: wait for the first one or, if the campaign has been interrupted, "
+            "repeat the command that began it, which continues it"
         )
     if done.imported:
         _refuse_comparisons(directory, margins, branches)
