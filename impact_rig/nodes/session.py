@@ -373,9 +373,9 @@ class Session:
         """Return the state that keeps the rig of an active node from starting, with its reason.
 
         The result is None if nothing prevents the start, if the rig has started, or if the node is not active. A rig
-        waits while another rig publishes the same topics or holds the lock of the namespace. In real time, it also waits
-        until its peers have subscribed, at most `time.start_wait_s`. If no other rig publishes, this method also tries
-        to take the lock.
+        waits while another rig publishes the same topics or holds the lock of the namespace. In real time, it waits for
+        its peers to subscribe, too, at most `time.start_wait_s`. If no other rig publishes, this method also tries to
+        take the lock.
         """
         if not self._active or self.rig is not None:
             return None

@@ -97,7 +97,7 @@ def build_report(
     done = run.open_finished(directory)
     if not done.points:
         raise RecordingError(
-            f"{directory} holds no measured point yet: wait for the first one or, if the campaign has been interrupted, "
+            f"{directory} holds no measured point yet: wait for the first one or, if the campaign was interrupted, "
             "repeat the command that began it, which continues it"
         )
     if done.imported:
