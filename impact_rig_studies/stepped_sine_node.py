@@ -224,9 +224,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         done(True, self._announced())
 
     def _on_stop(self, _request: Trigger.Request, done: Done) -> None:
-        self._pending = False
+        waited, self._pending = self._pending, False
         if self._operator is None or not self._operator.busy:
-            done(True, "no sweep is running")
+            done(True, "the sweep that waited to begin is cancelled" if waited else "no sweep is running")
             return
         self._operator.abort("stopped by the operator")
         done(True, "sweep stopped; the shaker ramps to rest")

@@ -467,7 +467,7 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
     """Read the starts of the sphere from a section of the file; the default is the left wall.
 
     A start is a word of `sphere.start` (such as left), or a pair of position [m] and speed [m/s] within ±100.
-    ConfigError is raised for another value.
+    ConfigError is raised for an empty list or another value.
     """
     found: list[Start] = []
     listed = given.get("starts", ["left"])

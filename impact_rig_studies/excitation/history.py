@@ -160,8 +160,8 @@ def replicate(
         `repeated`.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
-            `hardware`. After an error, call `hardware.output.stop()`.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
+            exceeds `abort` of `hardware`. After an error, call `hardware.output.stop()`.
         ConfigError: `low_hz` and `high_hz` of the plan leave no band below half of the rate.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
@@ -275,8 +275,8 @@ def _fade(count: int, lead: int) -> Real:
 def _burst(plan: ReplicatePlan, rate_hz: int, drive: Real, h: Complex, inverse: Complex) -> Real:
     """Return the drive of the largest burst to play before a trial, with a rest around it [A], shape (n,), n <= m.
 
-    The peak of this drive does not exceed the peak of the history's drive. The same holds for the peak of the superior
-    base's motion that the drive causes.
+    The peak of this drive does not exceed the peak of the history's drive. The peak of the motion that this drive
+    causes at the superior base does not exceed the peak that the history's drive causes there.
 
     Args:
         plan: settings.

@@ -193,7 +193,8 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
         call `hardware.output.stop()`.
 
     Raises:
-        ConfigError: the band of the excitation is not ascending, or not below half of the sample rate.
+        ConfigError: the band of the excitation is not ascending, or not below half of the sample rate. Or a frame,
+            or the burst in it, is too short.
         BudgetError: the excitation would have too many samples.
         CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
             exceeds `abort` of `hardware`.

@@ -56,6 +56,9 @@ class Pulse:
 
         Args:
             rate_hz: number of samples per second.
+
+        Raises:
+            ConfigError: the half sine or a compensating pulse has fewer than `SHORTEST` samples.
         """
         on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
         if min(on, beside) < SHORTEST:
@@ -77,6 +80,9 @@ class Pulse:
 
         Args:
             rate_hz: number of samples per second.
+
+        Raises:
+            ConfigError: a pulse is too short for the rate, see `acceleration`.
         """
         acceleration = self.acceleration(rate_hz)
         velocity = np.cumsum(acceleration) / rate_hz
@@ -203,6 +209,7 @@ def shock(hardware: Hardware, pulse: Pulse, on_step: Callable[[str], object] = l
     Raises:
         CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
             exceeds `abort` of `hardware`. After an error, call `hardware.output.stop()`.
+        ConfigError: the half sine or a compensating pulse is too short for the rate.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
     """

@@ -59,7 +59,8 @@ class Excitation:
             rate_hz: number of samples per second.
 
         Raises:
-            ConfigError: the upper edge of the band is not below half of the rate, or not above the lower edge.
+            ConfigError: the upper edge of the band is not below half of the rate, or not above the lower edge. Or a
+                frame, or the burst in it, is too short for the rate and the band.
             BudgetError: there would be more than `MOST_SAMPLES` samples.
         """
         import numpy as np  # noqa: PLC0415  # the help of commands needs the settings alone

@@ -150,8 +150,8 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
     """Return the points of a frequency curve without the sphere as `SineData`.
 
     All `points` are used, so they must be settled. A point with several measurements gives their mean, except for the
-    phase, which is that of the first measurement. The uncertainties are those of noise alone, without the calibration
-    errors `gains`.
+    phase, which is that of the first measurement. The uncertainties of the amplitudes are those of noise alone, without
+    the calibration errors `gains`.
     """
     first = np.concatenate([point.rows[:1] for point in points])
     return SineData(

@@ -51,9 +51,10 @@ def guess(source: ImportedSignals) -> Mapping:
     """Guess the channels, drive frequency and gap of a file from headings, units and the file name.
 
     Parts of the mapping that cannot be guessed are left out. Channels are found in the largest group of signals with
-    common times. A signal with the name of a channel is that channel. After that, known words in headings decide
-    (`HINTS`), and then units. Without a signal for `laser`, the accelerometer's signal is also used for `laser`, if
-    there is a `base`. A signal named `frequency` or `gap` takes precedence over the file name.
+    common times. If only one of `laser` and `base` is found there, the other may have other times. A signal with the
+    name of a channel is that channel. After that, known words in headings decide (`HINTS`), and then units. Without a
+    signal for `laser`, the accelerometer's signal is also used for `laser`, if there is a `base`. A signal named
+    `frequency` or `gap` takes precedence over the file name.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}
@@ -164,7 +165,7 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
     The text names the channel and its signal, optionally with unit and sensitivity: `laser=ai0`, `laser=ai0 mm`,
     `laser=ai0 V, 500 mV/mm`. The text `laser=` removes the channel. Unit and sensitivity of the channel are replaced.
     If the text states no unit, the unit of the signal applies. Other properties of the channel, such as its sign, are
-    kept. The name of the signal need not be in `signals`.
+    kept. The name of the signal need not be in `signals`; such a name ends at the first blank or comma.
 
     Raises:
         ConfigError: the text is malformed, or its channel is unknown.

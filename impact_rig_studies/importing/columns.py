@@ -142,7 +142,10 @@ def signals_of(
             if stated is None:
                 omitted[name] = f"no valid rate or period: {one:g}"
         elif name == headings.STAMP and values.ndim == 1:
-            stamps = values.astype(np.int64)
+            if values.dtype.kind == "f" and not np.isfinite(values).all():
+                omitted[name] = "stamps are missing in some rows"
+            else:
+                stamps = values.astype(np.int64)
         else:
             numeric[name] = values
     axis = _axis(numeric, column_units, clocks, stamps, dates, omitted)

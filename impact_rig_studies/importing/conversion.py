@@ -392,10 +392,10 @@ def _commands(
 ) -> tuple[tuple[int, float, float], ...]:
     """Return the drive commands as (stamp [ns], frequency [Hz], amplitude); empty if no command is known.
 
-    The commands are those of the table `drive`. Without a table, there is a command at each change of the frequency
-    signal `followed`. Without such a signal, the single frequency of the mapping is used. Amplitudes are peak values
-    [A, or m for a prescribed base], taken from the column `current` of the table, else from the mapping. An unknown
-    amplitude is NaN.
+    The commands are those of the table `drive`. Its times count from the same instant as the times of `source`, unless
+    both contain dates. Without a table, there is a command at each change of the frequency signal `followed`. Without
+    such a signal, the single frequency of the mapping is used. Amplitudes are peak values [A, or m for a prescribed
+    base], taken from the column `current` of the table, else from the mapping. An unknown amplitude is NaN.
 
     Raises:
         ConfigError: the table lacks frequencies or times, its columns differ in length, one of its times is not finite,

@@ -113,7 +113,7 @@ def run(
 def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, seconds: float) -> NoReturn:
     """Run the reader in the child process, write its result or its error into the pipe `sink`, and end the process.
 
-    The process is limited to `seconds` of computing time, and to memory in proportion to `file_bytes`.
+    The process is limited to `seconds` of computing time, and to an amount of memory that grows with `file_bytes`.
     """
     faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # discards messages of a library that fails

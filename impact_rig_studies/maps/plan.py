@@ -108,8 +108,8 @@ class MapLine(HashedTask):
         Returns:
             Configuration values that axes set, by dotted name, in addition to `changes`. Then frequency [Hz] and
             amplitude (A, m or V by `drive.kind`) of the drive. Last, the sphere's initial position [m] and speed [m/s].
-            If only one of these is an axis, the other is 0. If none is an axis, None is returned, and `sphere.start`
-            applies.
+            If only one of these is an axis, the other is 0. If none is an axis, None replaces position and speed, and
+            `sphere.start` applies.
         """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
@@ -355,7 +355,8 @@ def refuse_owned(key: str, name: str) -> None:
     Such a value has no effect, or must be set by another key.
 
     Args:
-        key: key of the file that contains the name, for the message. It begins with `set.` or `axes.` in these parts.
+        key: key of the file that contains the name, for the message. A key in the section `set` or `axes` of the file
+            begins with `set.` or `axes.`.
         name: dotted name of the value.
 
     Raises:

@@ -192,8 +192,8 @@ class SteppedSine:
 
         A settled measurement is accepted. A measurement with the status `not_settled` is accepted if the plan has
         `keep_unsettled`. Rows at another frequency, and rows that only report a change (`PASSING`), are ignored. All
-        other rows are failed measurements. More than the plan's `retries` of them abort the sweep. A point at which a
-        sensor is over range is skipped instead if the plan has `skip_over_range`.
+        other rows are failed measurements. More than the plan's `retries` of them at a point abort the sweep. A point
+        at which a sensor is over range is skipped instead if the plan has `skip_over_range`.
         """
         if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME

@@ -432,6 +432,15 @@ def test_too_many_columns_are_rejected_before_they_are_read(tmp_path: Path) -> N
         readers.read(tmp_path / "wide.csv")
 
 
+def test_stamps_with_a_missing_one_are_left_out_with_the_reason() -> None:
+    """A missing value makes all stamps floating-point numbers, which have lost their last digits."""
+    stamps = 1.7e18 + 1e9 * TIME_S
+    stamps[3] = np.nan
+    found = signals_of(PATH, "own", {"stamp_ns": stamps, "base": BASE, "laser": LASER})
+    assert found.left_out["stamp_ns"] == "stamps are missing in some rows"
+    assert {one.abscissa.kind for one in found.signals.values()} == {AbscissaKind.NONE}
+
+
 def test_columns_whose_long_headings_begin_alike_are_all_imported() -> None:
     long = "a" * 300
     columns = {"time [s]": TIME_S, f"{long}1": BASE, f"{long}2": LASER}

@@ -173,6 +173,7 @@ def test_no_sweep_starts_without_a_rig(client: Client) -> None:
     client.wait_until(lambda: "no rig subscribes" in status(client), "a reason")
     with pytest.raises(ServiceFailedError, match="no rig subscribes"):
         client.trigger("stepped_sine/start")
+    assert client.trigger("stepped_sine/stop") == "the sweep that waited to begin is cancelled"
     assert client.trigger("stepped_sine/stop") == "no sweep is running"
 
 
