@@ -123,8 +123,8 @@ def file_name(text: str) -> str:
 def identifier(text: str) -> str:
     """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits, `_` and `-`, first a letter.
 
-    A text that is a suitable identifier already is usually returned unchanged. Any other text gets the prefix `n-` and
-    a digest at its end, so that different texts stay different.
+    A text of ASCII letters, digits, `_` and single `-` between them that begins with a letter is returned unchanged.
+    Any other text gets the prefix `n-` and a digest at its end, so that different texts stay different.
     """
     plain = re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")
     if plain == text and plain[:1].isalpha():

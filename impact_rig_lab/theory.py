@@ -156,7 +156,7 @@ class Continued(NamedTuple):
 
         Args:
             values: parameters of the rig by name; missing ones count as equal.
-            amplitude: peak amplitude of its drive [A or m by `drive.kind`].
+            amplitude: peak amplitude of its drive [A, m or V by `drive.kind`].
         """
         return math.isclose(amplitude, self.amplitude, rel_tol=1e-6) and all(
             values.get(name, value) == value for name, value in self.values.items()

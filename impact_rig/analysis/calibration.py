@@ -236,9 +236,11 @@ class Calibration:
         return response * (1j * omega) ** order if order else response
 
     def scale(self, channel: int, frequency_hz: float) -> float:
-        """Return the factor ωⁿ from the amplitude of a displacement [m] to that of a channel [unit of the channel].
+        """Return the factor ωⁿ by which a channel's amplitude [its unit] is larger than that of the displacement [m].
 
-        The exponent n is the channel's `derivative`. For accelerometer and current, n is 0 and the result is 1.
+        ω is 2π `frequency_hz`, and n is the channel's `derivative`: 0 for displacement, 1 for velocity, 2 for
+        acceleration. For accelerometer and current the result is 1, because their readings are not converted to
+        displacements.
         """
         return float((2.0 * math.pi * frequency_hz) ** int(self.derivative[channel]))
 

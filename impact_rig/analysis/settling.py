@@ -174,11 +174,12 @@ class ImpactPause:
 
 @attrs.frozen
 class Progress:
-    """Progress towards the first row after the last change, as numbers of windows.
+    """Progress towards the first measurement after the last change, as numbers of windows.
 
-    A change is a new drive, gap label or calibration, a loss of scans, a reset of the rig, or an unsound window before
-    the first row. After the first row, the progress is complete. If the next row is overdue (`Judge.late`), the
-    progress is that towards the next row.
+    A window is a number of drive cycles that is measured at once. A change is a new drive, gap label or calibration, a
+    loss of scans, a reset of the rig, or a window that cannot be measured before the first measurement. After the first
+    measurement, the progress is complete. If the next measurement is overdue (`Judge.late`), the progress is that
+    towards the next one.
     """
 
     windows: int  # number since the last change; at most `needed`

@@ -161,7 +161,7 @@ class Plots:
             self._send(topics.PLOT_TRANSMISSIBILITY, table.stamp_ns, *map(float, values))
 
     def poll(self) -> bool:
-        """Check which of the topics computed from scans have subscribers; return whether at least one has."""
+        """Store which topics computed from scans have subscribers, for `feed`; return whether at least one has."""
         self._listened_to = {topic.name for topic in _FOLLOWED if self._publishers[topic.name].get_subscription_count()}
         return bool(self._listened_to)
 

@@ -274,10 +274,10 @@ def predict_speeds(s: Record, step: Record, h: float) -> None:
 
 @kernel
 def dense_output(s: Record, step: Record, x: float) -> tuple[float, float, float]:
-    """Return (time since the start of the step [s], w, δ') at the fraction x of the step from s.
+    """Return (time since the start of the step [s], w [√m], δ' [m/s]) at the fraction x of the step from s.
 
-    The dense output of this step must be the one stored last. x is 0 at the start of the step and 1 at its end. w is
-    the square root of the indentation δ.
+    x is 0 at the start of the step and 1 at its end. w is the square root of the indentation δ, and δ' the time
+    derivative of δ. The dense output of this step must be the one stored last.
     """
     time_sum, w_sum = 0.0, 0.0  # sums over the speeds [m/s]
     for n in range(STAGES, -1, -1):

@@ -496,9 +496,10 @@ def _quantities_in_contact(
 ) -> None:
     """Fill `out` with all QUANTITIES at a point of a contact's step, which begins at s.
 
-    `step` must be expanded about s. `point` is (time since the start of the step [s], w, δ'), with w the square root of
-    the indentation δ. `solved_there` is true if the step has been solved to end at the point. Only then does the result
-    include the effect of the indentation on the structure through the columns, which is about a millionth.
+    `step` must be expanded about s. `point` is (time since the start of the step [s], w [√m], dδ/dt [m/s]), with w the
+    square root of the indentation δ. `solved_there` is true if the step has been solved to end at the point. Only then
+    does the result include the effect of the indentation on the structure through the columns, which is about a
+    millionth.
     """
     p, side = model.parameters[0], s.side
     since, w, speed = point
@@ -637,8 +638,9 @@ def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int
 def sample(model: Model, trajectory: Trajectory, workspace: SamplingWorkspace, query: Query) -> bool:
     """Fill `query.out` with the quantities at the instants; return whether the trajectory contains all their ticks.
 
-    If the result is false, the values from the first instant outside the trajectory on are missing. The instants may be
-    in any order. Consecutive instants in the same flight or step of a contact are evaluated together.
+    The instants may be in any order. If the result is false, the values are missing from the first instant of the query
+    on that is outside the trajectory. Consecutive instants in the same flight or step of a contact are evaluated
+    together.
     """
     workspace.flight[0].omega = -1.0
     return _sample(model, trajectory, query, workspace)

@@ -138,8 +138,8 @@ class Motion:
         this method is faster than one call of `quantity` for each name.
 
         Raises:
-            ValueError: a tick is not in this motion, the shapes differ, no quantity has such a name, or there are more
-                names than `QUANTITIES`.
+            ValueError: a tick is not in this motion, `tick` and `offset_s` have different shapes, a name is not in
+                `QUANTITIES`, or there are more names than it has.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)

@@ -185,7 +185,11 @@ class Stream:
         self._ramp_samples = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
 
     def copy(self) -> Stream:
-        """Return a copy of this stream with a position and state of its own; both share one buffer."""
+        """Return a copy of this stream that continues from the same state on its own.
+
+        Only the buffer is shared: samples that are put into one copy, or dropped from it, are so in the other one as
+        well.
+        """
         twin = copy.copy(self)
         twin.events = list(self.events)
         return twin

@@ -430,7 +430,10 @@ class Rig:
         return trip
 
     def _cut(self, size: int) -> Block:
-        """Remove the next `size` scans from the rig, and return them as a block, with their truth and faults."""
+        """Return the next `size` scans as a block, with the true motion, impacts and faults during them.
+
+        The rig forgets what it returns.
+        """
         first = self._next_scan
         stamp = self._stamp(first)
         states, scans, is_monitored = self._truth.pop_states(first, size)

@@ -139,7 +139,10 @@ class Interlock:
 
 @functools.lru_cache(maxsize=4)
 def _gain(tick_s: float) -> float:
-    """Return the weight of one tick of `tick_s` seconds in the exponential average of the squared current."""
+    """Return the weight of a new tick in the exponential average of the squared coil current.
+
+    The tick lasts `tick_s` seconds. The average has the time constant `CURRENT_TIME_S`.
+    """
     return 1.0 - float(exp(-tick_s / CURRENT_TIME_S))
 
 

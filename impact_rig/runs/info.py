@@ -447,7 +447,10 @@ class _Tally:
             rig.from_times = scan_rate_hz(table)
 
     def topics(self) -> tuple[TopicInfo, ...]:
-        """Return the figures of every recorded topic, in order of registration."""
+        """Return number, rate, first and last time, and size of the messages of every topic.
+
+        The topics are in the order in which the recording lists them.
+        """
         found = []
         for name, one in self._found.items():
             span_s = one.duration_ns / NS_PER_S

@@ -73,9 +73,10 @@ class Checksums:
 
 
 def checksums(run: Run) -> Checksums:
-    """Count the checksums of a recording, and check those of attachments and of data with messages outside chunks.
+    """Return how many checksums a recording has, after checking those that are not checked when messages are read.
 
-    Checksums of chunks are only counted here, because they are checked when the chunks are read.
+    The result counts chunks, sections of messages outside chunks, and attachments, and how many of each have a
+    checksum. Those of chunks are only counted, because they are checked when the chunks are read.
 
     Raises:
         RecordingError: the checksum of an attachment or data section does not match, or a file cannot be read.

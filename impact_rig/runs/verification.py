@@ -695,7 +695,10 @@ class _OtherTopics:
         self._compare_smoothed(end - self._filters[-1].half)
 
     def _compare_smoothed(self, end: float = math.inf) -> None:
-        """Compare the monitor messages before scan index `end` with the filtered scans, and drop these scans."""
+        """Compare the monitor messages before scan index `end` with the re-simulated scans after the monitors' filter.
+
+        Differences are stored with each monitor. The compared scans are dropped.
+        """
         rig = self._again.rig
         fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
         for sample in sorted(sample for sample in self._smoothed if sample < end):
@@ -782,7 +785,9 @@ class _OtherTopics:
         self._made += rig.take_journal()
 
     def _compare_journal(self, whole: bool, lag_ns: int) -> None:
-        """Compare the recorded entries of a journal, except its first one, with those that the re-simulation made.
+        """Compare the recorded entries of a journal with the re-simulated ones, and store the first difference.
+
+        The first entry is not compared.
 
         Args:
             whole: whether a reset ended the journal, so that the re-simulation must have made all recorded entries;

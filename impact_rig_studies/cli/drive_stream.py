@@ -43,7 +43,7 @@ Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig, a
 def run_play(arguments: argparse.Namespace) -> int:
     """Drive the rig with a signal of a file or run, and return the exit code.
 
-    The code is 1 if the test ended early or has no result.
+    The code is 1 if the test ended early or has no result, otherwise 0.
     """
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 

@@ -466,8 +466,8 @@ def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tu
 def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
     """Read the starts of the sphere from a section of the file; the default is the left wall.
 
-    A start is a word of `sphere.start` (such as left), or a pair of position [m] and speed [m/s] within ±100.
-    ConfigError is raised for an empty list or another value.
+    A start is a word of `sphere.start` (such as left), or a pair of position [m] and speed [m/s], each of them within
+    ±100. ConfigError, which names the section `kind`, is raised for an empty list or another value.
     """
     found: list[Start] = []
     listed = given.get("starts", ["left"])

@@ -55,9 +55,10 @@ def decode(content: bytes) -> tuple[str, str]:
 
 
 def split_lines(text: str) -> list[str]:
-    """Return the lines of a text without their ends: line feed, carriage return, or both.
+    """Return the lines of a text without their ends.
 
-    Unlike in `str.splitlines`, no other character ends a line. An empty last line is dropped.
+    A line ends with a line feed, a carriage return, or a carriage return followed by a line feed. Unlike in
+    `str.splitlines`, no other character ends a line. If the last line is empty, it is dropped.
     """
     lines = text.split("\n") if "\r" not in text else _LINE_END.split(text)
     return lines[:-1] if lines and not lines[-1] else lines

@@ -56,10 +56,14 @@ class ResultSummary:
 
 
 def tell(found: object, unit: str = "") -> ResultSummary:
-    """Summarise the latest result of a test that plays samples, such as `Reached` or `Frf`.
+    """Summarise a result of a test that plays samples.
 
-    If there is no usable result, for example because a key figure cannot be computed, `missing` of the summary states
-    why. This is then also its only sentence. `unit` is the unit of the response, or of the frequency response.
+    If the result is not usable, for example because a key figure cannot be computed, `missing` of the summary states
+    why. This is then also its only sentence.
+
+    Args:
+        found: the result, such as a `Reached` or an `Frf`.
+        unit: unit of the response, or of the frequency response.
     """
     summary = _TELLERS[type(found)](found, unit)
     lacking = [name for name, value in summary.figures.items() if not _is_known(value)]

@@ -143,10 +143,10 @@ def read(path: Path) -> ImportedSignals:
 
 
 def _bag_bytes(path: Path) -> int:
-    """Return the size of a ROS bag, a file or a directory, in bytes.
+    """Return the size of a ROS bag, a file or a directory of files, in bytes.
 
     Raises:
-        RecordingError: the bag is empty, or one of its files is not a regular file.
+        RecordingError: the bag is missing or empty, or its directory contains something that is not a file.
         BudgetError: the bag is larger than `FILE_BYTES`.
     """
     members = sorted(path.iterdir()) if path.is_dir() else [path]

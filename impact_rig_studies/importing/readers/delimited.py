@@ -301,9 +301,9 @@ def read_rows(
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
     """Return the columns of the table in the lines first <= line < end, and the indices of lines that are comments.
 
-    Line 0 is the first line of the file. A column contains floats, or texts if it has words or times. A column of
-    integers contains integers if some of them are too large for exact floats and all are below 2^63, such as stamps in
-    nanoseconds. Missing numbers are NaN, and empty lines are skipped.
+    Line 0 is the first line of the file. A column contains texts if it has words or times. Otherwise it contains
+    floats, NaN for a missing number. Only a complete column of integers that are too large for exact floats, such as
+    stamps in nanoseconds, contains integers, if all of them are below 2^63. Empty lines are skipped.
 
     Raises:
         RecordingError: a row has another number of cells than the first one (surplus empty ones do not count), or a

@@ -107,9 +107,9 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
     """Return the abscissa of a channel with `count` values, and the kind of its signal, such as time response.
 
     The step in the channel's properties takes precedence, then the times `listed` in another channel [s], then
-    `rate_hz`. A step of `NO_INCREMENT` may mean that no step was set: listed times take precedence over it, and if only
-    `rate_hz` is known and contradicts it, there is no abscissa. Listed times are ignored if their number is not
-    `count`.
+    `rate_hz`, the rate in a property of the channel, its group or the file. A step of `NO_INCREMENT` may mean that no
+    step was set: listed times take precedence over it, and if only `rate_hz` is known and contradicts it, there is no
+    abscissa. Listed times are ignored if their number is not `count`.
     """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
