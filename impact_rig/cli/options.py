@@ -148,7 +148,8 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
         "--gap",
         type=GAP,
         metavar="LENGTH",
-        help="total gap between sphere and barriers with its unit, e.g. 6mm; none: no sphere (default: as configured"
+        help="sum of the gaps on both sides of the sphere, with its unit, e.g. 6mm; none: no sphere (default: as "
+        "configured"
         f"{refused})",
     )
     parser.add_argument(

@@ -482,5 +482,6 @@ def add_interface(commands: Commands) -> None:
         "--against",
         type=Path,
         metavar="FILE",
-        help="compare with an earlier version, described by the output of its `interface --json`",
+        help="output of `interface --json` of an earlier version: list what has changed since then; the exit code is 1 "
+        "if a change breaks clients",
     )

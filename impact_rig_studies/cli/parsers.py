@@ -398,7 +398,8 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         type=float,
         default=1.0,
         metavar="X",
-        help="factor by which the values are multiplied, in addition to the conversion of their unit (default: 1)",
+        help="factor by which the values of the signal are multiplied, in addition to the conversion of their unit "
+        "(default: 1)",
     )
     parser.add_argument(
         "--file-rate",
@@ -411,7 +412,8 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
 def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
     add_rig(
         parser,
-        needs=". A running rig needs drive.waveform: stream, and --scan-rate as daq.rate_hz and drive.stream_rate_hz",
+        needs=". A running rig needs drive.waveform: stream, and its daq.rate_hz and drive.stream_rate_hz must both "
+        "equal --scan-rate",
     )
     parser.add_argument(
         "--scan-rate",
@@ -427,8 +429,8 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         type=_limit,
         default=[],
         metavar="CHANNEL=X",
-        help="limits of channels; a larger absolute reading ends the test, e.g. laser=5mm current=2A; only a length "
-        "needs its unit (default: none)",
+        help="limits of channels; a larger absolute reading ends the test, e.g. laser=5mm current=2A; a length "
+        "needs its unit; without a unit, a current is in A and an acceleration in m/s^2 (default: none)",
     )
     add_output(parser, f"new or empty directory of the results (default: runs/{test}_<time>)")
     add_json(parser)
@@ -610,7 +612,7 @@ def add_report(commands: Commands) -> None:
         "The last line is the path of report.html. Exit code 0: written, whatever the results are.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
-    add_output(parser, "directory for report.html and report.json (default: DIR)")
+    add_output(parser, "directory for report.html and report.json (default: that of the campaign or run)")
     parser.add_argument(
         "--margins",
         type=Path,
@@ -783,7 +785,9 @@ def add_identify(commands: Commands) -> None:
         action="store_true",
         help="fit constants to the paper's reductions of DT instead of to a campaign, without DIR",
     )
-    add_config(parser, "configuration with the known constants, with --paper (default: the paper's rig)")
+    add_config(
+        parser, "only with --paper: configuration with the constants that are not fitted (default: the paper's rig)"
+    )
 
 
 HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m", low=0.0))
