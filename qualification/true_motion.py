@@ -33,6 +33,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
@@ -93,21 +94,35 @@ class TrueHardware(Hardware):
         return rows
 
 
-def history(band_hz: tuple[float, float], rms_m: float, seed: int) -> Real:
-    """Return four seconds of noise in a band, without content that a plan for this band could not reach."""
+def history(band_hz: tuple[float, float], rms_m: float, seed: int, seconds: int = 4) -> Real:
+    """Return some seconds of noise in a band, without content that a plan for this band could not reach."""
     sections = signal.butter(8, band_hz, "bandpass", fs=RATE_HZ, output="sos")
-    asked = signal.sosfilt(sections, np.random.default_rng(seed).standard_normal(6 * RATE_HZ))[2 * RATE_HZ :]
+    noise = np.random.default_rng(seed).standard_normal((2 + seconds) * RATE_HZ)
+    asked = signal.sosfilt(sections, noise)[2 * RATE_HZ :]
     asked *= signal.windows.hann(len(asked))
     return np.asarray(asked * (rms_m / asked.std()))
 
 
 def replicated(
-    response: Response, *, sphere: bool, seed: int, on_step: Callable[[str], object] = lambda _: None
+    response: Response,
+    *,
+    sphere: bool,
+    seed: int,
+    seconds: int = 4,
+    on_step: Callable[[str], object] = lambda _: None,
+    **settings: float,
 ) -> tuple[Replicated, float, NDArray[np.void]]:
-    """Replicate a history; return the stated result, the true error, and the true motion of the last trial."""
+    """Replicate a history of some seconds; `settings` are fields of the plan that differ from their defaults.
+
+    Returns:
+        The stated result, the true error, and the true motion of the last trial.
+    """
     superior = response is Response.SUPERIOR
-    asked = history((6.0, 14.0) if superior else (6.0, 40.0), 1.5e-3 if superior else 3e-4, seed)
-    plan = ReplicatePlan(response=response, identify_rms=0.15 if superior else 2.0, high_hz=25.0 if superior else 150.0)
+    asked = history((6.0, 14.0) if superior else (6.0, 40.0), 1.5e-3 if superior else 3e-4, seed, seconds)
+    plan = attrs.evolve(
+        ReplicatePlan(response=response, identify_rms=0.15 if superior else 2.0, high_hz=25.0 if superior else 150.0),
+        **settings,
+    )
     hardware, best, errors = TrueHardware(RATE_HZ, sphere__present=sphere, daq__seed=seed), None, math.nan
     for best in replicate(hardware, asked, plan, on_step):
         if best.repeated is None and best.errors[-1] == min(best.errors):

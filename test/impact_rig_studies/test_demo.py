@@ -129,7 +129,7 @@ def test_the_demo_reproduces_the_paper_without_losses(tmp_path: Path) -> None:
 @pytest.mark.parametrize("node", ["analysis", *(pytest.param(n, marks=pytest.mark.slow) for n in ("rig", "recorder"))])
 def test_a_killed_process_ends_the_demo_with_a_clear_message(tmp_path: Path, node: str) -> None:
     directory = tmp_path / "demo"
-    demo = start_demo(directory)
+    demo = start_demo(directory, *FEWER_SCANS)
     try:
         wait_for(demo, directory / "no_sphere")
         others = {name: node_pid(demo, name) for name in ("rig", "analysis", "recorder")}

@@ -34,7 +34,7 @@ from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.excitation.files import history, load
-from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, play, replicate
+from impact_rig_studies.excitation.history import BURSTS, Replicated, ReplicatePlan, _steadying, play, replicate
 from impact_rig_studies.excitation.random import RandomPlan, control
 from impact_rig_studies.excitation.response import Response, measure
 from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock_response_spectrum
@@ -183,7 +183,8 @@ def test_a_compensated_pulse_ends_without_speed_or_displacement():
 def replication(response, sphere):
     """Return the stated result, the true error and the true motion of the last trial, and the reported steps."""
     steps = []
-    return *replicated(response, sphere=sphere, seed=1, on_step=steps.append), steps
+    short = {"seconds": 2, "identify_s": 16.0, "burst_s": 5.0}  # the structure stops ringing within 16 s
+    return *replicated(response, sphere=sphere, seed=1, on_step=steps.append, **short), steps
 
 
 @pytest.mark.parametrize(
@@ -221,6 +222,32 @@ def test_a_burst_exceeds_neither_the_drive_nor_the_motion_of_the_history():
     assert steps[0] == "response function measured"
     assert re.fullmatch(r"[2-5] equal trials without a burst differ by [\d.]+ % of the history", steps[1])
     assert re.fullmatch(r"5 equal trials after a burst of [\d.]+ A peak differ by 0\.\d+ % of the history", steps[-1])
+
+
+@pytest.mark.parametrize(
+    ("agree_below", "chosen"),
+    [(1.9, 0.8 * 2.0), (1.1, 0.5 * 2.0), (0.0, 0.64 * 2.0)],
+    ids=["the first that agrees", "a later one", "none agrees: the one of least scatter"],
+)
+def test_bursts_become_weaker_until_equal_trials_agree(agree_below, chosen):
+    """Trials after a burst below a limit agree; those after other bursts scatter, after one of 1.28 A the least."""
+    random, drive, played = np.random.default_rng(1), np.ones(40), []
+
+    def respond(burst, by):
+        peak = np.abs(burst).max(initial=0.0)
+        played.append((peak, by[0]))
+        scatter = 0.001 if 0.0 < peak < agree_below else 0.1 if peak == pytest.approx(1.28) else 10.0
+        return scatter * random.standard_normal(40)
+
+    steps = []
+    found = _steadying(respond, drive, 2.0 * np.ones(10), 0.01, steps.append)
+    assert np.abs(found).max() == pytest.approx(chosen)
+    peaks = list(dict.fromkeys(peak for peak, _ in played))
+    assert peaks == pytest.approx([2.0 * one for one in BURSTS if not agree_below or one == 0 or 2.0 * one >= chosen])
+    assert len(steps) == len(peaks)
+    if agree_below:
+        equal = [by for peak, by in played if peak == pytest.approx(chosen)]
+        assert equal == pytest.approx([1.0, 0.9, 1.0, 0.8, 1.0, 0.7, 1.0, 0.6, 1.0]), "five, with others between them"
 
 
 @pytest.mark.parametrize(("repeated", "says"), [(0.0041, False), (0.012, True)])

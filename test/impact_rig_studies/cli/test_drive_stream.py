@@ -85,7 +85,8 @@ def test_names_that_are_not_valid_text_are_escaped_on_the_page(tmp_path):
 
 
 def test_a_frequency_response_is_reported_with_its_coherence(tmp_path):
-    words = ("drive", "frf", "--gap", "none", "--kind", "chirp", "--frames", 3, "--frame-s", 4, "--high-hz", 30)
+    words = ("drive", "frf", "--gap", "none", "--scan-rate", 2_000)
+    words += ("--kind", "chirp", "--frames", 3, "--frame-s", 4, "--high-hz", 30)
     assert run(*words, "--output", tmp_path / "run") == 0
     found, page = results_of(tmp_path / "run", "frf")
     assert found["coherence_median"] > 0.99
@@ -99,12 +100,13 @@ def test_a_frequency_response_is_reported_with_its_coherence(tmp_path):
 def test_random_control_by_a_plan_reports_the_level_reached_before_an_abort(tmp_path):
     plan = tmp_path / "plan.yaml"
     plan.write_text("{frame_s: 1, loops: 2, frames: 4, averages: 4}")
-    assert run("drive", "random", plan, "--gap", "none", "--output", tmp_path / "run") == 0
+    words = ("drive", "random", plan, "--gap", "none", "--scan-rate", 2_000)
+    assert run(*words, "--output", tmp_path / "run") == 0
     found, page = results_of(tmp_path / "run", "random")
     assert len(found["rms_error_db"]) == 3
     assert found["clipped_samples"] >= 0
     assert "distortion" in page
-    assert run("drive", "random", plan, "--gap", "none", "--abort", "base=0.4mm", "--output", tmp_path / "cut") == 1
+    assert run(*words, "--abort", "base=0.4mm", "--output", tmp_path / "cut") == 1
     found, page = results_of(tmp_path / "cut", "random")
     assert "aborted: base" in found["ended_early"]
     assert "Ended early: aborted" in page
@@ -127,7 +129,8 @@ def test_an_interrupt_leaves_a_valid_run_and_a_page(tmp_path):
     """A real process gets SIGINT in the middle of loops that it cannot finish meanwhile."""
     (tmp_path / "long.yaml").write_text("{loops: 500}")
     process = subprocess.Popen(
-        [*PROGRAM, "drive", "random", str(tmp_path / "long.yaml"), "--gap", "none", "--output", str(tmp_path / "run")],
+        [*PROGRAM, "drive", "random", str(tmp_path / "long.yaml"), "--gap", "none", "--scan-rate", "2000",
+         "--output", str(tmp_path / "run")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None
