@@ -27,6 +27,11 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.importing.signals import Real
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,4})?", re.ASCII)
+_PLAIN = re.compile(
+    r"(?:(?=[^\n]{1,64}\n)[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,4})?\n)+",  # 64: LONGEST_CELL
+    re.ASCII,
+)
+"""Pattern of lines that each contain a number without groups of digits, which Python's `float` reads."""
 _NOT_A_NUMBER = frozenset({
     "", "qnan", "snan", "n/a", "na", "<na>", "nat", "null", "nil", "none", "missing",
     "#n/a", "#nv", "#value!", "#div/0!", "#num!", "#wert!", "#ref!", "#bezug!", "#name?",
@@ -73,6 +78,17 @@ def number(cell: str, decimal: str = ".") -> float | None:
     if match := _INFINITE.fullmatch(lower):
         return float(f"{match[1]}inf")
     return math.nan if lower in _NOT_A_NUMBER or _OTHER_NAN.fullmatch(lower) else None
+
+
+def plain_numbers(column: Sequence[str]) -> Real | None:
+    """Return the numbers in cells at once, or None if `number` must read them one by one.
+
+    The decimal sign is a point. The result is None unless every cell is a finite number without groups of digits.
+    """
+    lines = "\n".join([*column, ""])
+    if lines.count("\n") != len(column) or not _PLAIN.fullmatch(lines):
+        return None
+    return without_markers(np.array([float(cell) for cell in column]))
 
 
 def is_unclear(cell: str) -> bool:

@@ -156,7 +156,7 @@ def test_a_test_that_lost_scans_ends_with_that_reason(test):
     work = {
         "frf": lambda: measure(rig, Excitation(kind=PSEUDO, frame_s=1.0, frames=4), "accelerometer"),
         "random": lambda: control(rig, RandomPlan(frame_s=1.0, frames=4)),
-        "replicate": lambda: replicate(rig, 1e-3 * samples, ReplicatePlan(), print),
+        "replicate": lambda: replicate(rig, 1e-3 * samples, ReplicatePlan(identify_s=1.0), print),
         "play": lambda: play(rig, samples),
     }
     with pytest.raises(CommandError, match=r"\d+ of \d+ scans were lost, but this test needs every scan"):

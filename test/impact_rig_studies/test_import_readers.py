@@ -33,11 +33,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from impact_rig.errors import ImpactRigError
 from impact_rig.runs.exports import write_columns
 from impact_rig.system import budget
-from impact_rig_studies.importing import file_names, headings, readers
+from impact_rig_studies.importing import cells, file_names, headings, readers
 from impact_rig_studies.importing.assignment import guess
 from impact_rig_studies.importing.cells import half_digit
 from impact_rig_studies.importing.columns import signals_of
@@ -278,6 +280,26 @@ def test_numbers_in_any_notation_are_read(cell: str, value: float) -> None:
     lines = rows_of("time [s];base [mm];laser [mm]", ";").splitlines()
     lines[20] = f"0.152;{cell};0.5"
     assert text_table("\n".join(lines)).signals["base"].values[19] == pytest.approx(value, rel=1e-12)
+
+
+@given(st.lists(st.from_regex(r"[+-]?[0-9.,' ]{0,4}[eEdD_]?[+-]?[0-9]{0,3}", fullmatch=True), max_size=4))
+@example(["9.91e37", "-9.9E+37"])
+@example(["1" * 64])
+@example(["1" * 65])
+@example(["1\n2"])
+@example([])
+@example([""])
+def test_numbers_read_at_once_are_those_read_one_by_one(column: list[str]) -> None:
+    found = cells.plain_numbers(column)
+    if found is not None:
+        assert found.tolist() == pytest.approx([cells.number(cell) for cell in column], rel=0.0, abs=0.0, nan_ok=True)
+
+
+def test_plain_numbers_are_read_at_once() -> None:
+    column = ["1", "-2.5", "+.5", "3.", "1e3", "2.5E-07"]
+    found = cells.plain_numbers(column)
+    assert found is not None
+    assert found.tolist() == [1.0, -2.5, 0.5, 3.0, 1000.0, 2.5e-7]
 
 
 @pytest.mark.parametrize(

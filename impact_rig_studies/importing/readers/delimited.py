@@ -391,6 +391,8 @@ def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: L
         whole = [int(cell) for cell in column]
         if max(whole) >= WHOLE:
             return np.array(whole, np.int64) if max(whole) < 2**63 else np.array(whole, np.float64)
+    if layout.decimal == "." and (plain := cells.plain_numbers(column)) is not None:
+        return plain
     values = np.empty(len(column))
     for place, cell in enumerate(column):
         value = cells.number(cell, layout.decimal)

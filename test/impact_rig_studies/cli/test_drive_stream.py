@@ -127,7 +127,7 @@ def test_a_history_and_a_shock_are_reported_trial_by_trial(tmp_path):
 
 def test_an_interrupt_leaves_a_valid_run_and_a_page(tmp_path):
     """A real process gets SIGINT in the middle of loops that it cannot finish meanwhile."""
-    (tmp_path / "long.yaml").write_text("{loops: 500}")
+    (tmp_path / "long.yaml").write_text("{loops: 500, frame_s: 1, frames: 4}")
     process = subprocess.Popen(
         [*PROGRAM, "drive", "random", str(tmp_path / "long.yaml"), "--gap", "none", "--scan-rate", "2000",
          "--output", str(tmp_path / "run")],
