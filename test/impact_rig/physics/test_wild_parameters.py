@@ -166,7 +166,7 @@ def assert_sane(config: RigConfig, amplitude: float, speed: float) -> int:
     return len(motion.impacts)
 
 
-@settings(max_examples=60)
+@settings(max_examples=200)
 @given(st.data())
 @pytest.mark.repeats
 def test_any_rig_runs_and_creates_no_energy(data):

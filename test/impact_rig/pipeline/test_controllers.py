@@ -44,7 +44,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 IN_ORDER = True
 EXAMPLES = Path(__file__).parents[3] / "examples"
 STOPPED_S = 3.0
-RATE_HZ = 2_000  # of scans and samples; the rig simulates the motion from sample to sample
 CONTROLLER = """
 import sys
 
@@ -68,10 +67,10 @@ class Paced(VelocityFeedback):
         self.next_ns = self.next_ns or stamp_ns(message) + 40_000_000
         if sys.argv[1] == "slow":
             if self.heard % 10 == 1:
-                self.play(stamp_ns(message) + 40_000_000, np.full(20, 0.1))
+                self.play(stamp_ns(message) + 40_000_000, np.full(100, 0.1))
             return
         for _ in range(10):
-            self.play(self.next_ns, np.full(20, 0.1))
+            self.play(self.next_ns, np.full(100, 0.1))
             self.next_ns += 10_000_000
 
 
@@ -118,13 +117,7 @@ class Bench:
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     directory = tmp_path_factory.mktemp("controllers")
     with isolated_domain() as domain_id, Processes(domain_id, directory / "logs") as processes:
-        processes.start(
-            "rig",
-            {
-                "drive.waveform": "stream", "drive.stream_rate_hz": RATE_HZ,
-                "daq.rate_hz": RATE_HZ, "daq.block_scans": RATE_HZ // 100,
-            },
-        )  # fmt: skip
+        processes.start("rig", {"drive.waveform": "stream"})
         processes.start("recorder", {"directory": str(directory), "name": "run"})
         with Client(domain_id) as client:  # without knowledge of the processes: controllers are killed
             client.wait_active("rig", "recorder")
@@ -133,7 +126,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 
 def test_a_controller_plays_a_file_to_a_running_rig(bench: Bench, tmp_path: Path) -> None:
-    np.savez(tmp_path / "wave.npz", drive=0.3 * np.sin(2.0 * np.pi * 9.1 * np.arange(1_000) / RATE_HZ), fs=RATE_HZ)
+    np.savez(tmp_path / "wave.npz", drive=0.3 * np.sin(2.0 * np.pi * 9.1 * np.arange(5_000) / 10_000), fs=10_000.0)
     program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "drive", "play"]
     words = [
         "--json",
@@ -151,7 +144,9 @@ def test_a_controller_plays_a_file_to_a_running_rig(bench: Bench, tmp_path: Path
     recorder.signal(signal.SIGSTOP)  # it cannot be found meanwhile, and must not miss the first samples
     with subprocess.Popen([*program, *words], env=environment, stdout=PIPE, stderr=PIPE, text=True) as playing:
         try:
-            bench.wait(lambda: bench.client.node.count_publishers("shaker/waveform"), "the player")
+            present = lambda: bench.client.node.count_publishers("shaker/waveform")  # noqa: E731  # asked repeatedly
+            bench.wait(lambda: present() or playing.poll() is not None, "the player")
+            assert playing.poll() is None, playing.communicate()
             bench.client.spin_for(1.0)
             recorder.signal(signal.SIGCONT)
             output, errors = playing.communicate(timeout=250)
@@ -176,7 +171,7 @@ def test_a_controller_that_is_suspended_and_resumes_is_late_and_then_followed_ag
             one.signal(signal.SIGSTOP)
         bench.wait(lambda: "did not arrive in time" in bench.client.status("rig").message, "the warning")
         missing = bench.state("missing")
-        bench.wait(lambda: bench.state("missing") > missing + STOPPED_S * RATE_HZ, "three seconds of silence")
+        bench.wait(lambda: bench.state("missing") > missing + STOPPED_S * 10_000, "three seconds of silence")
         for one in (recorder, process):
             one.signal(signal.SIGCONT)
         bench.wait(lambda: bench.state("late") > late, "answers to what it missed, which is past")
@@ -187,7 +182,7 @@ def test_samples_beyond_the_buffer_are_rejected_from_a_controller_ten_times_too_
     refused = bench.state("refused")
     with bench.controller("fast"):
         bench.wait(lambda: bench.state("refused") > refused + 10, "refusals")
-        assert bench.state("buffered") <= 2.0 * RATE_HZ
+        assert bench.state("buffered") <= 2.0 * 10_000
 
 
 def test_a_controller_ten_times_too_slow_is_followed_only_at_times(bench: Bench) -> None:
