@@ -54,12 +54,14 @@ def _dotted(node: ast.expr) -> str:
 
 
 def offences(path: Path) -> Iterator[str]:
+    file = path.relative_to(ROOT)
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        where = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
         if isinstance(node, ast.Import | ast.ImportFrom):
+            where = f"{file}:{node.lineno}"
             names = [alias.name for alias in node.names] + [getattr(node, "module", None) or ""]
             yield from (f"{where} imports {name}" for name in names if name.split(".")[0] in MODULES)
         elif isinstance(node, ast.Call):
+            where = f"{file}:{node.lineno}"
             called = _dotted(node.func)
             if called in CALLS:
                 yield f"{where} calls {called}"

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from impact_rig.drawing import INK, Drawn, legend_outside, new_axes, style
 from impact_rig.errors import ConfigError
-from impact_rig.rig.config import from_flat
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies import prediction
 from impact_rig_studies.dynamics.figures import label_of
 from impact_rig_studies.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, SPEED, UP, MapPlan
@@ -161,19 +162,32 @@ def _predicted(panes: Sequence[Axes], plan: MapPlan, page: float | None) -> None
     names = list(plan.axes)
     if {*names[:2]} != {GAP, FREQUENCY} or plan.base.drive.kind != "current":
         return
-    frequencies = np.linspace(min(plan.axes[FREQUENCY]), max(plan.axes[FREQUENCY]), 60)
     config, current = plan.base, plan.current_a
     if page is not None and names[2] == CURRENT:
         current = page
     elif page is not None and names[2] not in (POSITION, SPEED):  # on the start, a stable motion does not depend
         config = from_flat(config, {names[2]: page})
+    frequencies = np.linspace(min(plan.axes[FREQUENCY]), max(plan.axes[FREQUENCY]), 60)
     try:
-        found = [prediction.branch(config, float(one), current_a=current) for one in frequencies]
+        ends = _stable_gaps(config, current, tuple(frequencies.tolist()))
     except ConfigError:
         return
-    stable = [one.take(one.stable).gap_m * 1e3 for one in found]
-    ends = [np.array([choose(gaps) if len(gaps) else np.nan for gaps in stable]) for choose in (np.min, np.max)]
     for gaps, label in zip(ends, ("two symmetric impacts: predicted", None), strict=True):
         x, y = (gaps, frequencies) if names[0] == GAP else (frequencies, gaps)
         for axis in panes:
             axis.plot(x, y, "--", color=PREDICTED, linewidth=1.4, label=label)
+
+
+@functools.lru_cache(maxsize=8)  # of all pictures of a map: most show the same rig
+def _stable_gaps(
+    config: RigConfig, current_a: float, frequencies_hz: tuple[float, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the smallest and largest gap [mm] with a predicted stable motion at each frequency, NaN without one.
+
+    Raises:
+        ConfigError: the rig is outside the validity of the theory.
+    """
+    found = [prediction.branch(config, one, current_a=current_a) for one in frequencies_hz]
+    stable = [one.take(one.stable).gap_m * 1e3 for one in found]
+    least, most = (np.array([choose(gaps) if len(gaps) else np.nan for gaps in stable]) for choose in (np.min, np.max))
+    return least, most

@@ -24,7 +24,8 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -118,9 +119,8 @@ class Reach:
         if path == PUBLIC:
             return set()
         names, strings, bases = set[str](), list[str](), set[ast.expr]()
-        tree = ast.parse(self._texts[path])
-        said = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
-        for node in ast.walk(tree):
+        said = set[ast.expr]()  # docstrings
+        for node in _nodes(ast.parse(self._texts[path])):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 names.add(f"{node.value.id}.{node.attr}")
                 bases.add(node.value)
@@ -130,6 +130,8 @@ class Reach:
                 names |= {f"{alias.name}.*" if alias.asname else alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+            elif isinstance(node, ast.Expr):
+                said.add(node.value)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in said:
                 strings.append(node.value)
         text = self._strings[path] = REMEDY.sub("", "\n".join(strings))
@@ -164,6 +166,18 @@ class Reach:
             for user, text in self._strings.items()
             if named.search(text) and not (outside and user.startswith("impact_rig"))
         }
+
+
+def _nodes(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes of a tree in the order of `ast.walk`, which takes three times as long."""
+    waiting = deque([tree])
+    while waiting:
+        yield (node := waiting.popleft())
+        for value in vars(node).values():
+            if isinstance(value, list):
+                waiting += [one for one in value if isinstance(one, ast.AST)]
+            elif isinstance(value, ast.AST) and not isinstance(value, ast.expr_context):
+                waiting.append(value)
 
 
 def _called(path: str) -> set[str]:

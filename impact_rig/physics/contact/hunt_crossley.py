@@ -27,6 +27,7 @@ cancels. The equation is solved by bisection, with many digits in portable arith
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from decimal import Decimal
@@ -44,6 +45,7 @@ is 4a²/9.
 """
 
 
+@functools.lru_cache(maxsize=1024)  # 20 ms, and a study asks for few values again and again
 @with_70_digits
 def realised(hysteresis_factor: float) -> float:
     """Return the restitution that a Hunt–Crossley contact really gives with the hysteresis factor `a` ≥ 0 [-].
@@ -61,6 +63,7 @@ def realised(hysteresis_factor: float) -> float:
     return _root(ONE / max(ONE, a), lambda e: _imbalance(a, e))
 
 
+@functools.lru_cache(maxsize=1024)
 @with_70_digits
 def factor_returning(restitution: float) -> float:
     """Return the hysteresis factor `a` [-] with which a Hunt–Crossley contact really gives `restitution`.
