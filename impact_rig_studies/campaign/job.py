@@ -23,6 +23,7 @@ laboratory, these errors are the same in each run, so that they can cancel in re
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import time
@@ -58,7 +59,7 @@ TRACED = (topics.TRUTH_SCAN.name,)  # topics that a job with traces needs in add
 TRACE_BLOCKS = 2  # number of blocks of scans kept as a trace after the last measurement
 
 
-@attrs.frozen(kw_only=True)
+@attrs.frozen(kw_only=True, slots=False)  # with slots, older versions of attrs have no cached properties
 class Job:
     """Definition of one run that starts with a reset rig: configuration, drive frequencies and current."""
 
@@ -110,7 +111,7 @@ class Job:
             dwell_limit_s=DWELL_FACTOR * self.settings().wait_limit_s * self.repetitions,
         )
 
-    @property
+    @functools.cached_property
     def key(self) -> str:
         """Digest of all values of the job that determine its results (not `traces`): 16 hexadecimal digits."""
         content = {

@@ -110,28 +110,25 @@ def stored(folder, campaign, found):
 
 
 @pytest.fixture(scope="module")
-def reported(short, tmp_path_factory):
-    """The campaign, and its page."""
-    folder = stored(tmp_path_factory.mktemp("reported") / "out", *short)
-    assert main(["report", str(folder), "--format", "svg", "png"]) == 0
-    return folder
+def margins(tmp_path_factory):
+    """Campaign on the rig itself and one with another mass."""
+    folder = tmp_path_factory.mktemp("margins")
+    (folder / "margins.yaml").write_text(MARGINS)
+    varied = load_campaign(folder / "margins.yaml")
+    return stored(folder / "out", varied, [(job, execute(job)) for job in run.unique_jobs(varied.planned())])
 
 
 @pytest.fixture(scope="module")
-def compared(short, tmp_path_factory):
-    """The same campaign without its traces, with a page that also shows margins and continued motions."""
-    folder = tmp_path_factory.mktemp("compared")
-    campaign, found = short
-    out = stored(folder / "out", campaign, [(job, attrs.evolve(one, trace={})) for job, one in found])
-    (folder / "margins.yaml").write_text(MARGINS)
-    varied = load_campaign(folder / "margins.yaml")
-    stored(folder / "margins", varied, [(job, execute(job)) for job in run.unique_jobs(varied.planned())])
+def reported(short, margins, tmp_path_factory):
+    """The campaign, and its page with margins and continued motions."""
+    folder = tmp_path_factory.mktemp("reported")
     (folder / "branches.yaml").write_text(BRANCHES)
     continued = ["dynamics", "continue", str(folder / "branches.yaml"), "--workers", "1"]
     assert main([*continued, "--output", str(folder / "branches")]) == 0
-    extras = ["--margins", str(folder / "margins"), "--branches", str(folder / "branches")]
-    assert main(["report", str(out), "--output", str(folder), "--format", "svg", *extras]) == 0
-    return folder
+    out = stored(folder / "out", *short)
+    extras = ["--margins", str(margins), "--branches", str(folder / "branches")]
+    assert main(["report", str(out), "--format", "svg", "png", *extras]) == 0
+    return out
 
 
 @pytest.fixture(scope="module")
@@ -192,11 +189,11 @@ continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.010], points: 8}
 """
 
 
-def test_the_page_states_the_evidence_for_each_verdict_and_its_chosen_constants(reported, compared, capsys):
-    text = Page((compared / "report.html").read_text()).text
-    for verdict in run.open_finished(compared / "out").verdicts():
+def test_the_page_states_the_evidence_for_each_verdict_and_its_chosen_constants(page, reported, margins, capsys):
+    text = page.text
+    for verdict in run.open_finished(reported).verdicts():
         assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in text
-    (itself, changed) = variations(run.open_finished(compared / "margins").points)
+    (itself, changed) = variations(run.open_finished(margins).points)
     for one, name in ((itself, "the rig itself"), (changed, "shaker.base_mass_kg = 0.84")):
         peak, amplitudes = (f"{v.result.value:.4g} {v.word}" for v in one.verdicts[:2])
         assert f"{name} {peak} {amplitudes}" in text
@@ -205,8 +202,8 @@ def test_the_page_states_the_evidence_for_each_verdict_and_its_chosen_constants(
     assert "do not suffice to judge the paper's statements on two rigs or more" in capsys.readouterr().err
 
 
-def test_continued_motions_are_drawn_with_the_measurements(reported, compared, tmp_path, capsys):
-    kept = json.loads((compared / "report.json").read_text())["figures"]["continued_0"]
+def test_continued_motions_are_drawn_with_the_measurements(reported, tmp_path, capsys):
+    kept = json.loads((reported / "report.json").read_text())["figures"]["continued_0"]
     stable, unstable, measured = kept["cases"]
     assert max(unstable["gap_m"]) < 9.7e-3  # the flip at 9.69 mm
     assert max(stable["gap_m"]) > 10.3e-3
@@ -214,7 +211,7 @@ def test_continued_motions_are_drawn_with_the_measurements(reported, compared, t
     ours = stable["transmissibility"][stable["gap_m"].index(0.010)]
     at = measured["gap_m"].index(0.010)
     assert ours == pytest.approx(measured["transmissibility"][at], abs=2.0 * measured["expanded_uncertainty"][at])
-    assert "Stable and unstable motions of the model" in Page((compared / "report.html").read_text()).text
+    assert "Stable and unstable motions of the model" in Page((reported / "report.html").read_text()).text
     (tmp_path / "branches.yaml").write_text(f"set: {{sphere.diameter_m: 0.006}}\n{BRANCHES.replace('8}', '2}')}")
     out, page = str(tmp_path / "out"), str(tmp_path / "report.html")
     assert main(["dynamics", "continue", str(tmp_path / "branches.yaml"), "--workers", "1", "--output", out]) == 0
