@@ -127,17 +127,20 @@ test: $(TEST) kernels ## run all tests on real ROS 2; ARGS=--changed or '-k code
 	    $(if $(MEASURED),$(COVERAGE) combine --quiet && $(COVERAGE) report && \
 	    $(COVERAGE) report --include="$(KERNELS)" --fail-under=90 && [ $$status = 0 ] && $(call note,suite_s) &&) exit $$status
 
-LINT = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && \
-    $(VENV)/bin/python -m tools.prose_lint && \
+STYLE = $(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
+LINT = $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && $(VENV)/bin/python -m tools.prose_lint && \
     if command -v node >/dev/null; then for file in impact_rig_lab/static/*.js; do \
     node --check --input-type=module < $$file || exit 1; done; fi
 
+# The slow part of lint runs next to the tests, because alone it would use one core only. What it rejects is printed last.
 check: $(TEST) kernels ## quick checks after an edit: style, types, layers, tests without processes, browser and ROS
-	@begin=$$(date +%s); $(LINT) && \
-	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS) $(if $(MEASURED),&& $(call note,check_s))
+	@begin=$$(date +%s); $(STYLE) || exit; \
+	    said=$$(mktemp); trap 'rm -f $$said' EXIT; { $(LINT); } > $$said 2>&1 & lint=$$!; \
+	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS); tests=$$?; \
+	    wait $$lint; lint=$$?; [ $$lint = 0 ] || cat $$said; [ $$tests = 0 ] && [ $$lint = 0 ] $(if $(MEASURED),&& $(call note,check_s))
 
 lint: $(TEST) kernels ## check style, types, layers and prose
-	@$(LINT)
+	@$(STYLE) && $(LINT)
 
 generate: $(TEST) kernels ## rewrite the pages and files generated from the code
 	@$(VENV)/bin/python -m tools.generate

@@ -38,6 +38,7 @@ import statistics
 import subprocess
 import sys
 import tokenize
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -171,6 +172,23 @@ LOOKED_AT = (
 """Kinds of syntax that the checks below look at: one pass over the tree finds them for all."""
 
 
+def syntax(tree: ast.Module) -> Iterator[ast.AST]:
+    """Yield the nodes of `LOOKED_AT` in the order of `ast.walk`, which takes three times as long."""
+    waiting: deque[ast.AST] = deque([tree])
+    while waiting:
+        node = waiting.popleft()
+        if isinstance(node, LOOKED_AT):
+            yield node
+        if isinstance(node, ast.Constant | ast.Name | ast.expr_context):
+            continue  # most nodes, and they have no parts of interest
+        for name in node._fields:
+            value = getattr(node, name)
+            if value.__class__ is list:
+                waiting.extend(one for one in value if isinstance(one, ast.AST))
+            elif isinstance(value, ast.AST):
+                waiting.append(value)
+
+
 def docstrings(nodes: Sequence[ast.AST]) -> Iterator[tuple[ast.AST, ast.Expr]]:
     """Yield each docstring with its module, class, function or assignment."""
     for node in nodes:
@@ -240,7 +258,8 @@ def of_help(file: str, nodes: Sequence[ast.AST]) -> Iterator[Finding]:
 
 def of_comments(file: str, source: str) -> Iterator[Finding]:
     """Yield the rejected phrases and the history in comments."""
-    if not (PHRASE.search(source) or PAST.search(source)):
+    marked = "\n".join(line[line.index("#") :] for line in source.splitlines() if "#" in line)
+    if not (PHRASE.search(marked) or PAST.search(marked)):
         return  # reading a file's tokens takes ten times as long
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
@@ -263,7 +282,7 @@ def of_names(file: str, tree: ast.Module, nodes: Sequence[ast.AST]) -> Iterator[
 def of_python(file: str, source: str) -> Iterator[Finding]:
     """Yield the findings of a Python file; tests and examples may begin a docstring with a sentence."""
     tree = ast.parse(source)
-    nodes = [node for node in ast.walk(tree) if isinstance(node, LOOKED_AT)]
+    nodes = [*syntax(tree)]
     yield from of_docstrings(file, nodes, heads=not file.startswith(("test/", "examples/")))
     yield from of_strings(file, nodes)
     yield from of_help(file, nodes)

@@ -173,10 +173,13 @@ def _nodes(tree: ast.AST) -> Iterator[ast.AST]:
     waiting = deque([tree])
     while waiting:
         yield (node := waiting.popleft())
-        for value in vars(node).values():
-            if isinstance(value, list):
-                waiting += [one for one in value if isinstance(one, ast.AST)]
-            elif isinstance(value, ast.AST) and not isinstance(value, ast.expr_context):
+        if isinstance(node, ast.Constant | ast.Name | ast.expr_context):
+            continue  # most nodes, and they have no parts of interest
+        for name in node._fields:
+            value = getattr(node, name)
+            if value.__class__ is list:
+                waiting.extend(one for one in value if isinstance(one, ast.AST))
+            elif isinstance(value, ast.AST):
                 waiting.append(value)
 
 
