@@ -47,6 +47,7 @@ MODULES = tuple(
     f"impact_rig_studies/importing/{name}.py" for name in ("readers/delimited", "columns", "uniform", "conversion")
 )
 SCANS = 24
+unit_factor("furlong", "m")  # reads pint's units once; otherwise each forked reader that needs them reads them again
 COLUMNS = {name: np.arange(SCANS) / (100.0 * (k + 1)) for k, name in enumerate(("time", "laser", "base", "current"))}
 MAPPING = """\
 rate_hz: 100

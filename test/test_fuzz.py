@@ -42,7 +42,7 @@ from impact_rig.rig.config import load_config  # noqa: E402
 from impact_rig.rig.journal import JournalEntry  # noqa: E402
 
 TARGETS = (*decoders.TARGETS, *validators.TARGETS, *importers.TARGETS, *sockets.TARGETS, *calls.TARGETS)
-SLICE = 60
+SLICE = 30
 
 
 @pytest.mark.parametrize("one", TARGETS, ids=lambda one: one.name)
