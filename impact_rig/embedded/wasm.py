@@ -21,6 +21,7 @@ the module's table of functions.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import subprocess
 import sys
 import tempfile
@@ -29,6 +30,7 @@ from pathlib import Path
 from impact_rig.embedded.fmu import HERE
 from impact_rig.kernels.build import FOLDER, HEADER, PARTS, symbol, translated, write_header, write_tables
 from impact_rig.kernels.emit import WASM, emit
+from impact_rig.system.files import atomic_write
 
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
 RIG = (
@@ -43,8 +45,8 @@ def build_wasm(path: Path, keep: Path) -> None:
 
     Args:
         path: path of the module to write.
-        keep: folder in which the translated kernels are kept for the next build, which reuses them if the sources have
-            not changed.
+        keep: folder in which the translated kernels and their object files are kept for the next build, which reuses
+            them if the sources have not changed.
 
     Raises:
         SystemExit: the kernels cannot be translated.
@@ -55,10 +57,7 @@ def build_wasm(path: Path, keep: Path) -> None:
         work = Path(name)
         names = write_tables(found, work)
         write_header(found, work / HEADER)
-        objects = []
-        for part in PARTS:
-            objects.append(work / f"{part}.o")
-            objects[-1].write_bytes(emit(found / f"{part}.bc", WASM)[0])
+        objects = [_emitted(found, part) for part in PARTS]
         exports = [symbol(one) for one in names if not one.startswith("force.")]
         exports += [f"ir_rig_{one}" for one in RIG] + ["impact_rig_address", "malloc"]
         sources = [FOLDER / "kernels.c", work / "tables.c", HERE / "rig.c"]
@@ -66,6 +65,19 @@ def build_wasm(path: Path, keep: Path) -> None:
         options += [f"-Wl,--export={one}" for one in exports]
         files = map(str, [*sources, *objects])
         subprocess.run([*ZIG, *options, *files, "-lm", "-o", str(path)], check=True)  # noqa: S603  # our own
+
+
+def _emitted(found: Path, part: str) -> Path:
+    """Return the object file of a part; it is kept in `found` until the part or `emit` changes."""
+    code = found / f"{part}.bc"
+    key = hashlib.sha256(code.read_bytes() + (FOLDER / "emit.py").read_bytes()).hexdigest()[:16]
+    path = found / f"{part}-{WASM}-{key}.o"
+    if not path.exists():
+        for former in found.glob(f"{part}-{WASM}-*.o"):
+            former.unlink()
+        with atomic_write(path) as file:
+            file.write(emit(code, WASM)[0])
+    return path
 
 
 if __name__ == "__main__":
