@@ -58,8 +58,8 @@ OURS = [block for block in BLOCKS if block.owner == "test/test_docs.py"]
 
 WITHOUT_EXAMPLE = {"GoneError", "SimulationError", "TrackerSettings"}
 """Public names without an example: errors that no short program raises, and settings that `Tracker` receives."""
-NO_SYMBOLS = {"d", "Σ", "a"}
-"""The differential, the sum, and the article."""
+NO_SYMBOLS = {"d", "Σ", "a", "π"}
+"""The differential, the sum, the article, and the number."""
 INDEXED = r"._([\dikjnq]|first|last)"
 SOURCES_LETTERS = {
     "impact_rig.arithmetic.elementary",
