@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -32,7 +33,12 @@ from xml.etree import ElementTree as ET
 ROOT = Path(__file__).parents[1]
 SHM_BYTES = 4_000_000
 NOBODY = 65534
-INFO = "import sys; from impact_rig.cli import main; sys.exit(main())"
+INFO = """
+import sys
+from impact_rig.cli import main
+for run in sys.argv[1:]:
+    print("RUN", main(["info", run]), flush=True)
+"""
 FAILURES = {
     "test_number": "a number",
     "test_topics": "a ratio on topics",
@@ -136,8 +142,9 @@ def run_tests(folder: Path, tests: int, user: int | None) -> list[str]:
     names = sorted(str(case.get("name")).partition("[")[0] for case in failed)
     if names != sorted(FAILURES):
         wrong.append(f"failed: {names}: {done.stdout[-3000:]}")
-    for case in failed:
-        wrong += _wrong_with(case, environment)
+    faults = {case: _wrong_with(case) for case in failed}
+    wrong += filter(None, faults.values())
+    wrong += _incomplete([case for case in failed if not faults[case]], environment)
     left = [str(path) for place in (home, temporary) for path in place.iterdir() if path.name.startswith("impact_rig_")]
     return [*wrong, *(f"left behind: {path}" for path in left)]
 
@@ -154,23 +161,36 @@ def _mounts(folder: Path) -> str:
     return " && ".join(mounts)
 
 
-def _wrong_with(case: ET.Element, environment: dict[str, str]) -> list[str]:
-    """Return the errors in the XML of a failed test and in its run."""
-    name = str(case.get("name"))
-    properties = {str(one.get("name")): str(one.get("value")) for one in case.iter("property")}
+def _properties(case: ET.Element) -> dict[str, str]:
+    return {str(one.get("name")): str(one.get("value")) for one in case.iter("property")}
+
+
+def _wrong_with(case: ET.Element) -> str:
+    """Return the error in the XML of a failed test; empty if there is none."""
+    name, properties = str(case.get("name")), _properties(case)
     missing = [key for key in ("rig.run", "rig.report", "rig.seed") if not properties.get(key)]
     if missing:
-        return [f"{name}: without {', '.join(missing)}"]
+        return f"{name}: without {', '.join(missing)}"
     said = "".join((one.get("message") or "") + (one.text or "") for one in case)
     if FAILURES.get(name.partition("[")[0], "") not in said:
-        return [f"{name}: fails by something else: {said[-500:]}"]
-    info = subprocess.run(
-        [sys.executable, "-c", INFO, "info", properties["rig.run"]],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    first = " ".join(info.stdout.split())
-    print(f"{name}: {first[:140]}", flush=True)
-    return [] if info.returncode == 0 and ": whole" in first[:300] else [f"{name}: info: {info.stdout}{info.stderr}"]
+        return f"{name}: fails by something else: {said[-500:]}"
+    return ""
+
+
+def _incomplete(cases: list[ET.Element], environment: dict[str, str]) -> list[str]:
+    """Return what `impact-rig info` reports about the runs of failed tests that are not complete."""
+    command = [sys.executable, "-c", INFO, *(_properties(case)["rig.run"] for case in cases)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    reports = re.findall(r"(.*?)^RUN (\d+)\n", done.stdout, re.MULTILINE | re.DOTALL)
+    if len(reports) != len(cases):
+        return [f"info: {done.stdout}{done.stderr}"]
+    wrong = []
+    for case, (report, code) in zip(cases, reports, strict=True):
+        first = " ".join(report.split())
+        print(f"{case.get('name')}: {first[:140]}", flush=True)
+        if code != "0" or ": whole" not in first[:300]:
+            wrong.append(f"{case.get('name')}: info: {report}{done.stderr}")
+    return wrong
 
 
 def main() -> int:

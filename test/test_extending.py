@@ -47,7 +47,10 @@ OF_PAGES = (
 )
 """Tests that compare pages, figures and all sources with the code, which an addition may break."""
 SHORT = "not (slow or heavy or benchmark)"
-UNTOUCHED = ("agrees_with_the_code", "docstrings", "python_blocks", "yaml_blocks", "example_of_the_package")
+UNTOUCHED = (
+    *("agrees_with_the_code", "docstrings", "python_blocks", "yaml_blocks", "example_of_the_package"),
+    *(f"code[{name}.svg]" for name in ("animation", "first_look", "impact_damping", "paper", "transmissibility")),
+)
 """Parts of names of their tests that run examples and the shipped rig: no further file can break them."""
 PROSE = "import sys; from tools.prose_lint import findings; print(*findings(sys.argv[1:]))"
 DRAWN = re.compile(r"^make figures ARGS=(\S+\.svg)", re.MULTILINE)
@@ -154,7 +157,10 @@ def copy(tmp_path: Path) -> Copy:
     for name in (*doc_paths.files(), ".github/workflows/ci.yaml"):
         if name != ".git" and not name.startswith(".coverage") and "__pycache__" not in name:
             (root / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, root / name)
+            shutil.copy2(ROOT / name, root / name)
+    for folder in [root, *(path for path in root.rglob("*") if path.is_dir())]:
+        if (compiled := ROOT / folder.relative_to(root) / "__pycache__").is_dir():  # valid, as times are copied
+            shutil.copytree(compiled, folder / "__pycache__")
     return Copy(root)
 
 

@@ -23,12 +23,13 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from kits.shared import release
 
 from impact_rig.client import isolated_domain
 from impact_rig.errors import ImpactRigError
-from impact_rig.kernels.build import FOLDER, OUTPUT, this_machine
+from impact_rig.kernels.build import OUTPUT, this_machine
 from impact_rig.system.files import config_dir, share_dir
-from tools.release import build, differences, page, unpack
+from tools.release import differences, page, unpack
 
 ROOT = Path(__file__).parents[1]
 
@@ -66,7 +67,7 @@ RELEASED = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     """Source distribution, and the wheel made from it, with the library that the tests run on."""
-    return build(tmp_path_factory.mktemp("release"), FOLDER)
+    return release(tmp_path_factory)
 
 
 @RELEASED
@@ -96,7 +97,8 @@ def test_an_installed_wheel_works_without_a_checkout(built, tmp_path):
     pytest.importorskip("aiohttp", reason="the extra [lab] is not installed")
     _, wheel = built
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check"]
-    elsewhere = ["--prefix", str(tmp_path / "prefix"), "--ignore-installed"]  # else pip removes what these tests run
+    elsewhere = ["--prefix", str(tmp_path / "prefix"), "--no-compile"]
+    elsewhere += ["--ignore-installed"]  # else pip removes what these tests run
     subprocess.run([*pip, *elsewhere, str(wheel)], check=True, cwd=tmp_path)
     (package,) = (tmp_path / "prefix").glob("lib/python3*/site-packages/impact_rig")
     assert (package / "py.typed").is_file()

@@ -151,14 +151,15 @@ class Places:
     Args:
         folder: folder for the environments, with an empty home.
         is_offline: whether they are made from the working tree and this environment's distributions, in seconds.
+        wheel: wheel to install; default: it is built when it is needed.
     """
 
-    def __init__(self, folder: Path, *, is_offline: bool = False) -> None:
+    def __init__(self, folder: Path, *, is_offline: bool = False, wheel: Path | None = None) -> None:
         self.folder, self._is_offline = folder, is_offline
         self.home = folder / "home"
         self.home.mkdir(parents=True)
         self._made: dict[str, tuple[Path, dict[str, str]]] = {}
-        self._built: Path | None = None
+        self._built = wheel
 
     def environment(self, name: str) -> tuple[Path, dict[str, str]]:
         """Return working directory and variables of an environment, made if it does not exist."""

@@ -36,7 +36,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 @pytest.fixture
 def graph(tmp_path: Path) -> Iterator[tuple[Processes, str]]:
     parameters = {
-        "rig": {"time.start_wait_s": 0.0, "time.factor": 2.0},
+        "rig": {"time.start_wait_s": 0.0, "time.factor": 2.0, "daq.rate_hz": 4000},  # half of the load of 10 kHz
         "analysis": {"gap_m": 0.006},
         "recorder": {"record": False, "directory": str(tmp_path)},
     }

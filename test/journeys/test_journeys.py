@@ -27,6 +27,8 @@ import pytest
 
 pytest.importorskip("markdown_it", reason="comes with rich, except with Ubuntu's")
 
+from kits.shared import release
+
 from tools import journeys as table
 from tools.check_docs import pages
 from tools.environments import canonical, closure, pinned
@@ -120,7 +122,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
         distribution("ros-rclpy")
     except PackageNotFoundError:
         pytest.skip("the environments are made of the ROS wheels")
-    return Places(tmp_path_factory.mktemp("journeys"), is_offline=True)
+    return Places(tmp_path_factory.mktemp("journeys"), is_offline=True, wheel=release(tmp_path_factory)[1])
 
 
 @pytest.fixture(scope="module")

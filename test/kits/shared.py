@@ -22,6 +22,8 @@ from pathlib import Path
 
 import pytest
 
+from impact_rig.kernels.build import FOLDER
+
 
 def shared(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
     """Return the path `name` in the temporary folder of this test run; `make` creates what is not there yet.
@@ -37,3 +39,12 @@ def shared(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], ob
             make(folder / name)
             made.touch()
     return folder / name
+
+
+def release(factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return the source distribution and the wheel of this package; the first call of a test run builds them."""
+    from tools.release import build
+
+    folder = shared(factory, "release", lambda folder: build(folder, FOLDER))
+    (sdist,), (wheel,) = folder.glob("*.tar.gz"), folder.glob("*.whl")
+    return sdist, wheel
