@@ -153,9 +153,8 @@ class JournalEntry:
         for member, kinds in _MEMBERS.items():
             is_required = member in ("sequence", "kind", "sample", "stamp_ns")
             if (member in content or is_required) and type(content.get(member)) not in kinds:
-                allowed = " or ".join(kind.__name__ for kind in kinds)
                 got = f"got {quoted(content[member])}" if member in content else "it is missing"
-                raise ConfigError(f"its member {member} must be of type {allowed}, {got}")
+                raise ConfigError(f"its member {member} must be {_JSON_NAMES[kinds[0]]}, {got}")
         try:
             kind = InputKind(content["kind"])
         except ValueError:
@@ -167,12 +166,12 @@ class JournalEntry:
             content["value"] = _float("value", content["value"])
         if kind in _NEED_VALUE and "value" not in content:
             raise ConfigError(f"an entry of kind {kind.value} needs a value")
-        if not (0 <= content["sequence"] <= _LARGEST and 0 <= content["sample"] <= _LARGEST):
-            raise ConfigError("its members sequence and sample must be from 0 to 2**53")
-        if not 0 <= content["stamp_ns"] < 2**63:
-            raise ConfigError("its member stamp_ns must be from 0 to 2**63 - 1")
+        for member, high, shown in (("sequence", _LARGEST, "2^53"), ("sample", _LARGEST, "2^53"), _STAMP_RANGE):
+            if not 0 <= content[member] <= high:
+                raise ConfigError(f"its member {member} must be from 0 to {shown}, got {quoted(content[member])}")
         if (fault is not None) != (kind is InputKind.FAULT):
-            raise ConfigError("an entry of kind fault needs a fault, others must have none")
+            rule = "needs a fault" if fault is None else "must have no fault"
+            raise ConfigError(f"an entry of kind {kind.value} {rule}")
         return cls(**content | {"kind": kind, "values": values, "fault": fault})
 
 
@@ -183,8 +182,17 @@ _MEMBERS: dict[str, tuple[type, ...]] = {
 _OF_FAULT = {field.name for field in attrs.fields(Fault)} - {"start_sample"}  # it starts at the entry's sample
 _NEED_VALUE = (InputKind.COMMAND, InputKind.PLUCK, InputKind.TRIP, InputKind.STREAM)
 _LARGEST = 2**53
+_STAMP_RANGE = ("stamp_ns", 2**63 - 1, "2^63 - 1")
+_JSON_NAMES: dict[type, str] = {
+    bool: "true or false", int: "an integer", float: "a number", str: "a text", tuple: "a list of texts",
+    dict: "an object",
+}  # fmt: skip
 _INVALID = "invalid entry of the journal of inputs (`rig/journal`)"
-_CAUSES = "only rigs write such entries, so this one was damaged or changed, or is of another version of impact_rig"
+_CAUSES = (
+    "only rigs write such entries, so this one was damaged or changed, or is of another version of impact_rig: read it "
+    "with that version, or record the run again"
+)
+_COMPLETE = "record the run again (in Python: pass all entries since the start or reset)"
 
 
 def _float(name: str, value: float) -> float:
@@ -209,8 +217,7 @@ def _typed(name: str, value: Any) -> Value:
     if isinstance(default, float) and type(value) is int:
         return _float(name, value)
     if type(value) is not type(default):
-        kind = "list of texts" if isinstance(default, tuple) else type(default).__name__
-        raise ConfigError(f"{name} must be of type {kind}, got {value!r}")
+        raise ConfigError(f"{name} must be {_JSON_NAMES[type(default)]}, got {quoted(value)}")
     return value
 
 
@@ -221,7 +228,7 @@ def _fault(content: Mapping[str, Any], sample: int) -> Fault:
             raise ConfigError(f"its fault has the unknown member {name!r}, known are {known}")
         allowed = (str,) if name in ("kind", "channel") else (int,) if name in ("samples", "seed") else (int, float)
         if type(value) not in allowed:
-            raise ConfigError(f"{name} of its fault must be of type {allowed[-1].__name__}, got {value!r}")
+            raise ConfigError(f"{name} of its fault must be {_JSON_NAMES[allowed[-1]]}, got {quoted(value)}")
     try:
         return Fault(**{"kind": ""} | dict(content), start_sample=sample)
     except (CommandError, OverflowError) as error:
@@ -327,15 +334,18 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
         if entry.sequence != len(found):
             raise ConfigError(
                 f"the journal of inputs (`rig/journal`) is incomplete: entry {len(found)}, counted from 0, is missing "
-                f"(found {entry.sequence} instead)"
+                f"(found {entry.sequence} instead); {_COMPLETE}"
             )
         if not found and entry.kind not in BEGINNINGS:
             raise ConfigError(
-                f"the journal of inputs (`rig/journal`) must begin with a start or reset, got {entry.kind.value}"
+                f"the journal of inputs (`rig/journal`) must begin with a start or reset, got {entry.kind.value}; "
+                f"{_COMPLETE}"
             )
         found.append(entry)
     if not found:
-        raise ConfigError("the journal of inputs (`rig/journal`) has no entry: it must begin with a start or reset")
+        raise ConfigError(
+            f"the journal of inputs (`rig/journal`) has no entry, but must begin with a start or reset; {_COMPLETE}"
+        )
     return found
 
 

@@ -134,7 +134,8 @@ class RecordedSamples(Buffer):
         if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._switches[-1]):
             raise ConfigError(
                 f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which drove the rig "
-                f"{lacking[0] * self._sample_s:.6f} s after the start or reset according to the journal"
+                f"{lacking[0] * self._sample_s:.6f} s after the start or reset according to the journal: "
+                "record the run again, from before the stream begins"
             )
         held &= wanted
         return held
