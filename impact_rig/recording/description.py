@@ -302,7 +302,8 @@ def members(schema: str) -> list[tuple[str, str, int]]:
                 inner = next((t for key, t in texts.items() if key == name or key.endswith(f"/{name}")), None)
                 why = "it is an array of messages" if count != 1 else "" if inner else "this type is not defined"
                 if inner is None or why or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
-                    why = why or f"it is more than {_MAX_DEPTH} types deep, or follows more than {_MAX_TYPES} members"
+                    deep = f"it is nested more than {_MAX_DEPTH} types deep"
+                    why = why or (deep if depth > _MAX_DEPTH else f"it follows more than {_MAX_TYPES} members")
                     raise RecordingError(
                         f"the message member {path + member} of type {name}{length} cannot be read: {why}"
                     )

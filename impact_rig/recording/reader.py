@@ -454,7 +454,10 @@ class Run:
         type_name = self.topics[name].topic.type_name
         if type_name != topics.TABLE:
             carried = type_name or "messages of an unknown type"
-            raise RecordingError(f"{self.path}: topic {name} carries {carried}, not tables ({topics.TABLE})")
+            raise RecordingError(
+                f"{self.path}: topic {name} carries {carried}, not tables ({topics.TABLE}): choose a topic "
+                "with tables, or read the messages with Run.messages in Python"
+            )
         return name
 
     def _with_messages(self) -> list[McapSource]:
@@ -626,7 +629,8 @@ def run_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise RecordingError(f"{path} does not exist, or is neither a run directory nor an MCAP file")
+        why = "is neither a run directory nor an MCAP file" if path.exists() else "does not exist: check the path"
+        raise RecordingError(f"{path} {why}")
     listed = [_listed(path, name) for name in _listed_files(path)]
     missing = [file.name for file in listed if not file.exists()]
     if missing:
@@ -771,7 +775,7 @@ class McapSource:
             RecordingError: the file has been closed.
         """
         if self._fd < 0:
-            raise RecordingError(f"cannot read {self.path} at byte {offset}: the run has been closed")
+            raise RecordingError(f"cannot read {self.path} at byte {offset}: the run has been closed; open it again")
 
     def _is_being_written(self) -> bool:
         """Return whether a recorder still writes this file.
@@ -859,7 +863,9 @@ class McapSource:
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
             if chunk.uncompressed_size != segment.size:
-                raise DamageError("the decompressed size that it states is not that which the index states")  # noqa: TRY301  # worded below
+                raise DamageError(  # noqa: TRY301  # the path is added below
+                    f"it states a decompressed size of {chunk.uncompressed_size} bytes, the index {segment.size} bytes"
+                )
             return records.decompress(chunk)
         except DamageError as error:
             where = f"{self.path}: the chunk at byte {segment.offset} is damaged"
@@ -978,7 +984,7 @@ class McapSource:
             raise DamageError("the file has become shorter since it was opened")
         head = records.RECORD_HEAD.size
         if length < head or records.RECORD_HEAD.unpack_from(view) != (opcode, length - head):
-            raise DamageError("the record there is of another kind or length than the index states")
+            raise DamageError("the record at this byte is of another kind or length than the index states")
         return view[head:]
 
 

@@ -132,11 +132,13 @@ def split(view: memoryview, offset: int) -> tuple[int, memoryview, int]:
     """
     stop = len(view)
     if offset + RECORD_HEAD.size > stop:
-        raise DamageError(f"no complete record at its byte {offset}")
+        raise DamageError(f"no complete record at byte {offset} of a chunk or index")
     opcode, length = RECORD_HEAD.unpack_from(view, offset)
     start = offset + RECORD_HEAD.size
     if length > stop - start:
-        raise DamageError(f"the record at its byte {offset} states {length} bytes, only {stop - start} are left")
+        raise DamageError(
+            f"the record at byte {offset} of a chunk or index states {length} bytes, only {stop - start} are left"
+        )
     return opcode, view[start : start + length], start + length
 
 
@@ -233,12 +235,12 @@ def count(records: memoryview, most: int) -> int:
     unpack, head = RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while offset < stop and found <= most:
         if offset + head > stop:
-            raise DamageError(f"the content of a chunk has no complete record at its byte {offset}")
+            raise DamageError(f"no complete record at byte {offset} of a chunk")
         _, length = unpack(records, offset)
         offset += head + length
         found += 1
     if offset > stop:
-        raise DamageError(f"a record ends {offset - stop} bytes after its chunk")
+        raise DamageError(f"a record ends {offset - stop} bytes after the end of its chunk")
     return found
 
 

@@ -482,7 +482,9 @@ class RunWriter:
         if self._failure is not None:
             raise self._failure
         if self._closed:
-            raise RecordingError(f"the recording {self.directory} is finished, so it accepts no more messages")
+            raise RecordingError(
+                f"the recording {self.directory} is finished, so it accepts no more messages: start another one"
+            )
 
     def stop(self, error: RecordingError) -> None:
         """End the run because of `error`; later calls that record something raise this error again.
@@ -610,7 +612,7 @@ def make_room(directory: Path) -> None:
         files.refuse_foreign(directory)
         present = sorted(path.name for path in directory.iterdir())
     except FileExistsError as error:
-        raise RecordingError(f"{directory} is a file, not a directory to record into") from error
+        raise RecordingError(f"{directory} is a file, not a directory to record into; choose another") from error
     except OSError as error:
         raise RecordingError(f"cannot use the run directory {directory}: {error.strerror}") from error
     for name in present:
@@ -818,13 +820,17 @@ class McapFile:
         needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
         if limit != resource.RLIM_INFINITY and self.size + needed > limit:
-            return f"the next chunk does not fit into the file size limit of this process (RLIMIT_FSIZE, {limit} bytes)"
+            return (
+                f"the next chunk does not fit into the file size limit of this process (RLIMIT_FSIZE, {limit} bytes): "
+                "raise this limit (ulimit -f)"
+            )
         space = os.fstatvfs(self._fd)
         free = space.f_bavail * space.f_frsize
         if free < needed + MIN_FREE_BYTES:
             return (
                 f"only {free / 1e6:.0f} MB are free on its disk, {(needed + MIN_FREE_BYTES) / 1e6:.0f} MB are needed: "
-                f"the next chunk, the index, and {MIN_FREE_BYTES / 1e6:.0f} MB that stay free"
+                f"the next chunk, the index, and {MIN_FREE_BYTES / 1e6:.0f} MB that stay free; "
+                "free disk space, or choose a directory on another disk"
             )
         return ""
 

@@ -132,19 +132,22 @@ def test_an_index_with_a_wrong_chunk_size_counts_as_damage(tmp_path: Path) -> No
     at = data.rindex(size.to_bytes(8, "little"))
     data[at : at + 8] = (size - 1).to_bytes(8, "little")
     path.write_bytes(data)
-    with open_run(path) as run, pytest.raises(DamageError, match="not that which the index states"):
+    with (
+        open_run(path) as run,
+        pytest.raises(DamageError, match=r"it states a decompressed size of \d+ bytes, the index \d+ bytes"),
+    ):
         list(run.messages())
 
 
 def test_a_chunk_that_ends_within_a_record_is_damage_with_path_and_remedy(tmp_path: Path) -> None:
     path = TOOL["recording"](tmp_path / "cut.mcap", [TOOL["message"](0, b"") + b"\x05\x00"])
-    words = r"cut\.mcap: the content of a chunk has no complete record at its byte \d+; impact-rig recover saves"
+    words = r"cut\.mcap: no complete record at byte \d+ of a chunk; impact-rig recover saves"
     with open_run(path) as run, pytest.raises(DamageError, match=words):
         list(run.messages())
 
 
 def test_a_damaged_record_of_the_index_is_reported_as_one() -> None:
-    with pytest.raises(DamageError, match="its index is damaged: no complete record at its byte 0"):
+    with pytest.raises(DamageError, match="its index is damaged: no complete record at byte 0 of a chunk or index"):
         parse_summary(memoryview(b"\x0b\x01"))
 
 
