@@ -68,7 +68,7 @@ class AnalysisSettings(TrackerSettings):
     def __attrs_post_init__(self) -> None:
         super().__attrs_post_init__()
         if UNKNOWN_GAP < self.gap_m < 0:
-            raise ConfigError(f"gap_m must be > 0 and <= 1 m, 0 for no sphere, or -1 for unknown, got {self.gap_m!r}")
+            raise ConfigError(f"gap_m must be > 0 and <= 1 m, 0 for no sphere, or -1 for unknown, got {self.gap_m!r} m")
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):

@@ -303,7 +303,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._configuration is None:
             waited = f"within {self.settings.configuration_wait_s:g} s"
             self.get_logger().warning(
-                f"no message received on rig/configuration {waited}: the run begins without a configuration"
+                f"no message received on rig/configuration {waited}: the run begins without a configuration; "
+                "check that the rig runs in the namespace of the recorder"
             )
         try:
             self._writer = self._open(self._configuration)
@@ -422,7 +423,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             names = ", ".join(sorted(self._awaited))
             self.get_logger().warning(
                 f"no message on {names} more than {AWAIT_S:g} s after the recording began: ~/start and the "
-                "diagnostics no longer wait for them"
+                "diagnostics no longer wait for them; check the nodes that publish them"
             )
             self._awaited = set()
         if self._writer is not None:

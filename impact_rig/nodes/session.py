@@ -135,7 +135,7 @@ class DuplicatePublishers:
             before, self._sentence = self._sentence, self._poll()
             if self._sentence != before:
                 logger = self._node.get_logger()
-                logger.error(self._sentence) if self._sentence else logger.info(
+                logger.error(f"{self._sentence}; end one of them") if self._sentence else logger.info(
                     "no node other than this rig publishes its topics now"
                 )
         return self._sentence
@@ -601,7 +601,9 @@ class Session:
                 break
         silent = window.silent() if self._stepping else ()
         if self._stepping and self.is_starving:
-            self._end_steps(self.lack_of_samples())
+            self._end_steps(
+                f"{self.lack_of_samples()}: send samples, or call ~/pause with false to continue without them"
+            )
         elif silent:
             self._end_steps(
                 f"peer {', '.join(silent)} does not acknowledge {topics.SCAN.name}: restart it, or call ~/pause with "
