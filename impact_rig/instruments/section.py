@@ -73,10 +73,10 @@ class Instruments:
         fitted = {"", *(instrument.name for instrument in self.fitted())}
         for fault in self.faults.faults(scan_rate_hz=1):
             if fault.channel not in fitted:
-                present = ", ".join(sorted(fitted - {""}))
+                fitting = sorted(one.name for one in self.fitted() if fault.kind in one.faults)
                 raise ConfigError(
                     f"faults.planned: {fault.kind} needs a channel that is present, but {fault.channel} is not; "
-                    f"use {present}"
+                    f"use {', '.join(fitting) or 'another kind of fault'}"
                 )
 
     def all(self) -> tuple[Instrument, ...]:

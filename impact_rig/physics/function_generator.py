@@ -175,7 +175,7 @@ class FunctionGenerator:
             CommandError: the frequency is not a finite number > 0.
         """
         if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
-            raise CommandError(f"frequency must be finite and > 0 Hz, got {frequency_hz!r}")
+            raise CommandError(f"frequency must be finite and > 0 Hz, got {frequency_hz!r} Hz")
         self._anchor_phase = self.phase_rad
         self._anchor_tick = self.tick
         self.frequency_hz = frequency_hz

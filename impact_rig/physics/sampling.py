@@ -193,7 +193,9 @@ def places(names: tuple[str, ...]) -> NDArray[np.int64]:
     if unknown := [name for name in names if name not in QUANTITIES]:
         raise ValueError(f"{unknown[0]!r} is no quantity of a motion; known: {', '.join(QUANTITIES)}")
     if len(names) > len(QUANTITIES):
-        raise ValueError(f"each quantity must be requested only once, got {len(names)} of {len(QUANTITIES)}")
+        raise ValueError(
+            f"each quantity must be requested only once, got {len(names)} names for {len(QUANTITIES)} quantities"
+        )
     return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 

@@ -66,6 +66,7 @@ from impact_rig.physics.state import (
     X1,
     XB,
 )
+from impact_rig.simtime import COMMAND_GRID_S
 
 __all__ = ["IMPACT", "SAMPLE", "Motion"]
 
@@ -200,7 +201,7 @@ class Motion:
         turns = self.segments["duration"] * self.segments["omega"]
         if len(self.segments) >= len(self.first_segment) or np.abs(turns - TWO_PI).max(initial=0.0) > _WHOLE:
             raise ValueError(
-                "cycles() needs a motion in which each tick is one segment of the drive with one complete cycle of it "
+                "cycles() needs a motion in which each tick is one drive segment with one complete cycle of the drive "
                 "(impacts do not matter)"
             )
         out = np.empty((len(self.segments), CYCLE.itemsize // 8))
@@ -446,7 +447,8 @@ class Simulation:
                 s = work.states[0]
                 raise SimulationError(
                     f"the motion cannot be simulated: {_FAILURES[ended]}, in phase {PHASES[s['phase']]}, tick "
-                    f"{self.tick + ticks - 1}, {s['t']:.9f} s after the start of a drive segment in this tick"
+                    f"{self.tick + ticks - 1} (of {COMMAND_GRID_S:g} s each), {s['t']:.9f} s after the start of a "
+                    "drive segment in this tick; change the mechanics or the drive"
                 )
             more = {"history": _longer(work.history, STATE), "impacts": _longer(work.impacts, IMPACT)}
             work = self._work = work._replace(**more)

@@ -64,7 +64,9 @@ SLOWEST_RATE, FASTEST_RATE = 0.5, 1e5
 A slower mode moves in a tick of 10 ms by less than the rounding of its position. A faster one (a coil of L < 10 µs · R)
 requires such short contact steps that a sphere at rest on a wall cannot be simulated in real time.
 """
-_NOT_TOGETHER = "the values of structure, shaker, sphere, barriers and contact cannot be simulated together"
+_NOT_TOGETHER = (
+    "the values of structure, shaker, sphere, barriers and contact cannot be simulated together, so correct them"
+)
 DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own
 
 

@@ -234,7 +234,7 @@ def check_amplitude(amplitude: float, drive: Drive, shaker: Shaker) -> None:
     """
     name, unit, high, why = amplitude_limit(drive, shaker)
     if not math.isfinite(amplitude) or not 0.0 <= amplitude <= high:
-        raise CommandError(f"{name} must be >= 0 and <= {high:.4g} {unit} ({why}), got {amplitude:g}")
+        raise CommandError(f"{name} must be >= 0 and <= {high:.4g} {unit} ({why}), got {amplitude:g} {unit}")
 
 
 def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> None:
@@ -249,7 +249,7 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
     name, unit, high, why = amplitude_limit(drive, shaker)
     wrong = np.flatnonzero(~(np.abs(values) <= high))
     if len(wrong):
-        got = f"got {values[wrong[0]]:g} in row {wrong[0]}, counted from 0"
+        got = f"got {values[wrong[0]]:g} {unit} in row {wrong[0]}, counted from 0"
         raise CommandError(f"each sample must have a {name} >= {-high:.4g} and <= {high:.4g} {unit} ({why}), {got}")
 
 

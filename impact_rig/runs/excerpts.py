@@ -134,7 +134,7 @@ def last_record(run: Run) -> Excerpt:
     if len(rows) < FEWEST_SCANS:
         raise RecordingError(
             f"{run.path} ends with {len(rows)} contiguous scans, too few for a frequency response or a decay; at least "
-            f"{FEWEST_SCANS} without a gap are needed"
+            f"{FEWEST_SCANS} are needed: record a longer run without lost scans"
         )
     return Excerpt(rows, rate_hz, 0.0, np.empty(0), settled=False)
 
@@ -148,7 +148,8 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
     tables = list(run.tables(topics.INFO.name))
     if not tables:
         raise RecordingError(
-            f"{run.path} holds no calibration (daq/info), so the rate and units of its scans are unknown"
+            f"{run.path} holds no calibration (daq/info), so the rate and units of its scans are unknown: choose "
+            "a run with a calibration"
         )
     return tables[-1].rows
 
@@ -238,7 +239,8 @@ def need_motions(run: Run, rows: NDArray[np.void]) -> None:
     missing = [name for name in ("laser", "base") if name not in channels_of(rows)]
     if missing:
         raise RecordingError(
-            f"{run.path} has no channel {' and no channel '.join(missing)}: x_1/x_b needs laser and base"
+            f"{run.path} has no channel {' and no channel '.join(missing)}: x_1/x_b needs laser and base; "
+            "choose a run with both"
         )
 
 
@@ -277,7 +279,8 @@ def sines_of(run: Run, excerpt: Excerpt) -> Sines:
     if reference.status is not Status.OK:
         raise RecordingError(
             f"{run.path}: the channel {name} is not a sine of the drive frequency {excerpt.drive_hz:g} Hz in the scans "
-            f"{excerpt}; its fit gives {reference.status.value} ({reference.status.doc})"
+            f"{excerpt}; its fit gives {reference.status.value} ({reference.status.doc}); "
+            "choose a run with a sine drive"
         )
     return Sines(
         reference=reference,

@@ -239,7 +239,10 @@ def _reported(force: ForceFunction, name: str) -> ForceFunction:
         try:
             return force(*numbers)
         except Exception as error:
-            raise SimulationError(f"the contact force {name} raised {type(error).__name__}: {error}") from error
+            given = ", ".join(f"{number:.6g}" for number in numbers)
+            raise SimulationError(
+                f"the contact force {name} raised {type(error).__name__}: {error}, with the arguments {given}"
+            ) from error
 
     return reported
 
