@@ -320,10 +320,16 @@ def _identify(
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
     if not (low_hz < high_hz and plan.low_hz < min(plan.high_hz, 0.5 * rate_hz)):
-        raise ConfigError(
-            f"low_hz must be below both high_hz and {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
-            f"{plan.low_hz:g} and high_hz = {plan.high_hz:g}"
-        )
+        if not plan.low_hz < plan.high_hz:
+            problem = f"low_hz must be < high_hz = {plan.high_hz:g} Hz, got {plan.low_hz:g} Hz"
+        elif not plan.low_hz < 0.5 * rate_hz:
+            problem = f"low_hz must be < {0.5 * rate_hz:g} Hz, half of the sample rate, got {plan.low_hz:g} Hz"
+        else:
+            problem = (
+                f"high_hz must be > {low_hz / ABOVE:.4g} Hz for this length of the signal, got {plan.high_hz:g} Hz; "
+                "raise high_hz or identify_s"
+            )
+        raise ConfigError(problem)
     excitation = Excitation(
         kind=PSEUDO,
         frames=FRAMES,

@@ -62,9 +62,9 @@ class Pulse:
         """
         on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
         if min(on, beside) < SHORTEST:
+            name, value = ("duration_s", self.duration_s) if on < SHORTEST else ("compensation_s", self.compensation_s)
             raise ConfigError(
-                f"duration_s and compensation_s must be at least {SHORTEST / rate_hz:g} s, {SHORTEST} samples at "
-                f"{rate_hz} Hz, got {self.duration_s:g} and {self.compensation_s:g}"
+                f"{name} must be at least {SHORTEST / rate_hz:g} s, {SHORTEST} samples at {rate_hz} Hz, got {value:g} s"
             )
         pulse = self.peak * np.sin(np.pi * (np.arange(on) + 0.5) / on)
         hill = np.sin(np.pi * (np.arange(beside) + 0.5) / beside) ** 2

@@ -70,8 +70,9 @@ class Excitation:
         budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
         if not self.low_hz < self.high_hz < 0.5 * rate_hz:
             raise ConfigError(
-                f"low_hz must be < high_hz, and high_hz < {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
-                f"{self.low_hz:g} and high_hz = {self.high_hz:g}"
+                f"high_hz must be < {0.5 * rate_hz:g} Hz, half of the sample rate, got {self.high_hz:g} Hz"
+                if self.low_hz < self.high_hz
+                else f"low_hz must be < high_hz = {self.high_hz:g} Hz, got {self.low_hz:g} Hz"
             )
         on = round(self.burst * length) if self.kind == BURST else length
         if on < SHORTEST:

@@ -196,21 +196,22 @@ def test_insufficient_data_yield_a_message_instead_of_a_number(tmp_path, capsys,
         (("drive", "frf", "--frames", "1000000000"), "samples of 1000000000 frames"),
         (("drive", "frf", "--frame-s", "1e9"), "samples of 20 frames"),
         (("drive", "frf", "--drive-seed", "-1"), "seed must be"),
-        (
-            ("drive", "frf", "--high-hz", "3"),
-            "low_hz must be < high_hz, and high_hz < 1000 Hz, half of the sample rate",
-        ),
+        (("drive", "frf", "--high-hz", "3"), "low_hz must be < high_hz = 3 Hz, got 5 Hz"),
         (
             ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "band.yaml"),
-            "half of the sample rate, got low_hz = 100 and high_hz = 30",
+            "low_hz must be < high_hz = 30 Hz, got 100 Hz",
         ),
         (
             ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "narrow.yaml"),
-            "half of the sample rate, got low_hz = 40 and high_hz = 30",
+            "low_hz must be < high_hz = 30 Hz, got 40 Hz",
         ),
         (
             ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "fast.yaml"),
-            "half of the sample rate, got low_hz = 1100 and high_hz = 1200",
+            "low_hz must be < 1000 Hz, half of the sample rate, got 1100 Hz",
+        ),
+        (
+            ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "slow.yaml"),
+            "Hz for this length of the signal, got 0.001 Hz",
         ),
     ],
 )
@@ -218,6 +219,7 @@ def test_an_unplayable_signal_is_rejected_before_the_rig_runs(tmp_path, capsys, 
     (tmp_path / "drive.csv").write_text("time,current\n0,0\n0.001,0.1\n0.002,0\n")
     (tmp_path / "band.yaml").write_text("low_hz: 100\nhigh_hz: 30")
     (tmp_path / "fast.yaml").write_text("low_hz: 1100\nhigh_hz: 1200")
+    (tmp_path / "slow.yaml").write_text("low_hz: 0\nhigh_hz: 0.001")
     (tmp_path / "narrow.yaml").write_text("low_hz: 40\nhigh_hz: 30")
     words = [tmp_path / word if word.endswith((".csv", ".yaml")) else word for word in words]
     assert run(*words, "--output", tmp_path / "run") == 1
