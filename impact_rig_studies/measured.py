@@ -103,7 +103,10 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
             found[gap, frequency] = path, row
             currents.append(float(row["current_amplitude"] if row["current_amplitude"] > 0.0 else 1.0))
     if sensors is None or not found:
-        raise ConfigError(f"no file contains a settled measurement: {'; '.join(left_out[:SHOWN])}")
+        raise ConfigError(
+            f"no file contains a settled measurement: {'; '.join(left_out[:SHOWN])}; import the files without "
+            "--campaign, and examine the runs with impact-rig analyze"
+        )
     base = load_config(config) if config else RigConfig()
     text = json.dumps({
         "title": directory.name,

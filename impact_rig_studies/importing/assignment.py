@@ -154,7 +154,7 @@ def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping)
     if taken:
         return f"the channel {taken[0]} uses the signal {mapping.channels[taken[0]].column}"
     if all(len(one.values) != len(other.values) for other in used):
-        return "its times differ from those of the channels"
+        return f"it has {len(one.values)} values, unlike the signals of the channels"
     rivals = [other for other in signals if other != name and {fitting[0], *HINTS[fitting[0]]} & _words(other)]
     return f"{rivals[0]} could also be the channel {fitting[0]}" if rivals else "it is not assigned to a channel"
 
@@ -175,7 +175,7 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
     if not equals or name not in CHANNELS:
         raise ConfigError(
             f"--channel must be like laser=ai0, laser='ai0 mm' or laser='ai0 V, 500 mV/mm', with one of the channels "
-            f"{', '.join(CHANNELS)}; got {text!r}"
+            f"{', '.join(CHANNELS)}; got {text!r}, {'whose channel is unknown' if equals else 'which contains no ='}"
         )
     changed = dict(channels)
     rest = rest.strip()

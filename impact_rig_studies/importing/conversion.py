@@ -179,24 +179,25 @@ def _no_signal(source: ImportedSignals, name: str, purpose: str) -> ConfigError:
 
     `purpose` is `frequency`, `gap` or a channel like `laser`.
     """
-    there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
+    there = f"choose one of {', '.join(source.signals)[:300]}" if source.signals else "the file has no signals"
     hint = did_you_mean(name, source.signals, "did you mean {!r}?", there)
     if name in source.left_out:
-        hint = f"it is left out, {source.left_out[name]}"
+        hint = f"the import leaves it out ({source.left_out[name]}); choose another one"
     return ConfigError(f"{source.path} has no signal {name!r} for {purpose}: {hint}")
 
 
 def _unassigned(source: ImportedSignals) -> str:
     names = (f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
-    known = ", ".join(names) or "none of numbers"
-    example = next(iter(source.signals), "NAME")
+    rest = f"; left out: {reasons(source.left_out)}" if source.left_out else ""
+    if not source.signals:
+        return f"{source.path} holds no signal of numbers{rest}; export the measured signals as numbers"
+    example = next(iter(source.signals))
     strange = {name: one for name, one in source.signals.items() if one.kind is not SignalKind.TIME_RESPONSE}
     if strange and len(strange) == len(source.signals):
         found = "; ".join(f"{name}: {one.kind}, {one.abscissa}" for name, one in strange.items())
-        return f"{source.path} holds no time response: {found[:500]}; import time signals"
-    rest = f"; left out: {reasons(source.left_out)}" if source.left_out else ""
+        return f"{source.path} holds no time response: {found[:500]}; export the measured signals over time"
     return (
-        f"{source.path}: the names of its signals do not tell which is which channel; it has: {known[:500]}{rest}. "
+        f"{source.path}: the names of the signals do not tell which is which channel: {', '.join(names)[:500]}{rest}. "
         f'Assign them: --channel laser="{example}" for the motion of the structure, --channel base=… for its base'
     )
 
@@ -405,20 +406,21 @@ def _commands(
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
         times = None if frequency is None else frequency.time_s
         if frequency is None or times is None:
-            raise ConfigError(
-                f"{drive.path} must have a column `frequency` [Hz], and a column of times, `time` or `stamp_ns`"
-            )
+            missing = "`frequency` [Hz]" if frequency is None else "of times, `time` [s] or `stamp_ns`"
+            raise ConfigError(f"{drive.path}: a table of drive commands must have a column {missing}: add this column")
         if current is not None and len(current.values) != len(times):
             raise ConfigError(
                 f"{drive.path}: `frequency` and `current` must have the same number of values, got {len(times)} and "
-                f"{len(current.values)}"
+                f"{len(current.values)}; give each frequency one current"
             )
         hertz, amplitude = _in_unit(drive.path, "frequency", frequency, "Hz"), np.full(len(times), mapping.amplitude)
         if current is not None:
             amplitude = _in_unit(drive.path, "current", current, "A")
         if not np.all(np.isfinite(times)):
             wrong = int(np.argmin(np.isfinite(times)))
-            raise ConfigError(f"{drive.path}: time {wrong + 1} of {len(times)} is not a finite number")
+            raise ConfigError(
+                f"{drive.path}: time {wrong + 1} of {len(times)} is not a finite number; correct it in the file"
+            )
         first = instants.start_ns + round((drive.begins_s - source.begins_s) * NS_PER_S)  # both count from one instant
         if drive.start_ns is not None and source.start_ns is not None:
             first = drive.start_ns

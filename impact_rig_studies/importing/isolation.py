@@ -85,15 +85,15 @@ def run(
     if not head:
         ended_by = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
         if is_late or ended_by == signal.SIGXCPU:
+            limit = f"{4.0 * seconds:.0f} s" if is_late else f"{seconds:.0f} s of computing time"
             raise RecordingError(
-                f"{path} takes longer to read than {seconds:.0f} s of computing time or {4.0 * seconds:.0f} s in all, "
-                f"the limits for its size; if you trust it, set the environment variable {budget.VARIABLE}=N to allow "
-                "N times the default"
+                f"{path} takes longer to read than {limit}, the limit for a file of {file_bytes} bytes; if you trust "
+                f"it, set the environment variable {budget.VARIABLE}=N to allow N times the default"
             )
         how = f" ({signal.strsignal(ended_by)})" if ended_by else ""
         raise RecordingError(
-            f"{path} cannot be read: the process that reads it as {what} crashed{how}; it may be damaged: export it "
-            "again, or in another format"
+            f"{path} cannot be read: the process that reads it as {what} crashed{how}; the file may be damaged: export "
+            "it again, or in another format"
         )
     reply: dict[str, Any] = json.loads(head)
     if _REFUSED in reply:
@@ -106,7 +106,10 @@ def run(
             f"set the environment variable {budget.VARIABLE}=N to allow N times the default"
         )
     if _DAMAGED in reply:
-        raise RecordingError(f"{path} cannot be read as {what}: {str(reply[_DAMAGED])[:300]}")
+        raise RecordingError(
+            f"{path} cannot be read as {what}; the file may be damaged: export it again, or in another format "
+            f"({str(reply[_DAMAGED])[:300]})"
+        )
     return _decoded(path, reply, memoryview(numbers))
 
 

@@ -105,7 +105,8 @@ def _above_zero(_mapping: object, _field: object, value: float | str | None) -> 
 def _not_negative(_mapping: object, _field: object, value: float | str | None) -> None:
     if isinstance(value, float) and not 0.0 <= value < math.inf:
         raise ConfigError(
-            f"the gap (--gap, or gap_mm in --mapping) must be 0 (no sphere) or more, and finite, got {value * 1e3:g} mm"
+            f"the gap (--gap, or gap or gap_mm in --mapping) must be 0 (no sphere) or more, and finite, got "
+            f"{value * 1e3:g} mm"
         )
 
 

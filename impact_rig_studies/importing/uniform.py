@@ -89,8 +89,11 @@ def aligned(
         steps = np.diff(times[name])
         increase = len(steps) > 0 and float(steps.min()) > 0.0
         if not increase or float(steps.max()) > HOLE * float(np.median(steps)):
-            why = "its times have holes" if increase else "its times do not increase"
-            why = why if len(steps) else "it has fewer than 2 values"
+            why = "it has fewer than 2 values"
+            if len(steps):
+                why = f"its times do not increase at value {int(np.argmin(steps)) + 2} of {len(steps) + 1}"
+            if increase:
+                why = f"its times have a hole of {float(steps.max()):.4g} s"
             raise ConfigError(f"{path}: {name} cannot be resampled: {why}; leave it out (--channel {name}=)")
         _require_finite(path, name, found[name])
     densest = min(times.values(), key=lambda one: float(np.median(np.diff(one))))
@@ -99,7 +102,8 @@ def aligned(
     if len(common) < FEWEST:
         raise ConfigError(
             f"{path}: the signals of {', '.join(times)} hardly overlap in time: between the latest start and the "
-            f"earliest end there are fewer than {FEWEST} samples; leave out the one from another time (--channel NAME=)"
+            f"earliest end there are fewer than {FEWEST} samples; leave out the signal from "
+            "another time (--channel NAME=)"
         )
     there = {name: _spline(times[name], values)(common) for name, values in found.items()}
     return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there
@@ -169,7 +173,10 @@ def uniform(
     """
     count = len(next(iter(found.values())))
     if count < 2:
-        raise RecordingError(f"{path}: a measurement needs at least 2 scans, got {count}")
+        raise RecordingError(
+            f"{path}: a measurement needs at least 2 values of each signal, got {count}; check that the file was "
+            "exported completely"
+        )
     times, stated = _basis(path, abscissa, mapping, count)
     if times is None:
         assert stated is not None
@@ -186,8 +193,8 @@ def uniform(
         return _resampled(path, times, found, followed, float(rate), mapping.resample_hz)
     if not LEAST_HZ <= rate <= MOST_HZ:
         raise ConfigError(
-            f"{path}: a rate of {rate:.6g} scans per second is outside {LEAST_HZ:g} to {MOST_HZ:g}; "
-            "if that is wrong, give the true one (--scan-rate HZ)"
+            f"{path}: the rate must be {LEAST_HZ:g} to {MOST_HZ:g} scans per second, got {rate:.6g}; if the file "
+            "states a wrong rate or wrong times, give the true rate (--scan-rate HZ)"
         )
     return Grid(rate, index, found, followed)
 
@@ -282,8 +289,9 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
     if np.any(np.diff(index) < 1) or float(off.max()) > EVEN + digit * rate:
         scan = int(np.argmax(off))
         raise ConfigError(
-            f"{path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off {rate:.7g} scans per "
-            "second; resample it (--resample HZ), or give its rate (--scan-rate HZ) if the times are not to be believed"
+            f"{path}: not uniform in time: the time of value {scan + 1} is {off[scan]:.2f} of a period off {rate:.7g} "
+            "scans per second; resample the signals (--resample HZ), or give the rate (--scan-rate HZ) if the times "
+            "are wrong"
         )
     return rate, index
 
@@ -343,7 +351,7 @@ def _resampled(
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
         raise ConfigError(
             f"{path}: the rate for resampling (--resample, or resample_hz in --mapping) must be at least that of the "
-            f"file, {exact:.6g} Hz, and at most {MOST_HZ:g} Hz, got {rate}"
+            f"file, {exact:.6g} Hz, and at most {MOST_HZ:g} Hz, got {rate} Hz"
         )
     given = sum(map(len, found.values()))
     most = min(VALUES, max(RESAMPLED_VALUES, RESAMPLED_PER_VALUE * given))

@@ -672,7 +672,9 @@ def test_samples_of_every_width_are_scaled_to_full_scale(width: int, floating: b
 def test_a_wav_file_shorter_than_its_header_is_reported() -> None:
     found = wav.read(PATH, wav_file(np.stack([BASE, LASER], axis=1), 2, claimed=90))
     assert len(found.signals["channel_0"].values) == COUNT
-    assert found.left_out == {"end of the file": "the header claims 90 scans, 60 are there: 33% is missing"}
+    assert found.left_out == {
+        "end of the file": "the header claims 90 samples per channel, 60 are there: 33% is missing"
+    }
 
 
 # --- TDMS

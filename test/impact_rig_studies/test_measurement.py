@@ -248,7 +248,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (STEADY, MM.replace("mm", "furlongs per"), "the unit of the channel laser must be a unit of m"),
         (STEADY, MM.replace("unit: mm", "unit: V"), "a voltage needs a sensitivity"),
         (STEADY, MM.replace("unit: mm", "unit: 9**9**9**9"), "must be a unit of m"),
-        (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: there are x1, xb"),
+        (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: choose one of x1, xb"),
         (STEADY, "channels: {laser: {column: null}}", "channels.laser.column must be a text, got null"),
         (STEADY, "chanels: {}", "unknown key chanels: did you mean channels"),
         (STEADY, MM + "\nrate_hz: .nan", "rate_hz must be a finite number"),

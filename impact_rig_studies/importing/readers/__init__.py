@@ -105,7 +105,9 @@ def format_of(path: Path, content: bytes) -> Format:
     """
     found = FORMATS.get(path.suffix.lower())
     if found is None:
-        raise RecordingError(f"{path} cannot be imported: its suffix must be one of {', '.join(FORMATS)}")
+        raise RecordingError(
+            f"{path} cannot be read: its suffix must be one of {', '.join(FORMATS)}; export it in one of these formats"
+        )
     return MATLAB_7_3 if found is MATLAB_5 and hdf5.is_hdf5(content) else found
 
 
@@ -131,13 +133,14 @@ def read(path: Path) -> ImportedSignals:
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     if not bag_bytes and not content:
-        raise RecordingError(f"{path} is empty")
+        raise RecordingError(f"{path} is empty: export the measurement again")
     chosen = BAG if bag_bytes else format_of(path, content)
     given = bag_bytes or content  # the library of a bag reads it piece by piece
     found = isolation.run(path, chosen.name, bag_bytes or len(content), lambda: _read(chosen, path, given), chosen.load)
     if not any(len(one.values) for one in found.signals.values()) and not found.texts:
         raise RecordingError(
-            f"{path} holds no signal of numbers{': ' if found.left_out else ''}{reasons(found.left_out)}"
+            f"{path} holds no signal of numbers{': ' if found.left_out else ''}{reasons(found.left_out)}; export the "
+            "measured signals as numbers"
         )
     return found
 
@@ -155,7 +158,7 @@ def _bag_bytes(path: Path) -> int:
         raise RecordingError(f"{wrong} is not a regular file: a bag must be a file, or a directory of files")
     size = sum(one.stat().st_size for one in members)
     if not size:
-        raise RecordingError(f"{path} is empty")
+        raise RecordingError(f"{path} is empty: record or copy the bag again")
     budget.allow("bytes of a bag", size, FILE_BYTES)
     return size
 

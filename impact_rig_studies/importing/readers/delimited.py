@@ -80,7 +80,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     if layout is None:
         raise RecordingError(
             f"{path}: none of its first {min(len(lines), HEADER_LINES + 1)} lines is a row of numbers"
-            f"{_seen_instead(lines)}"
+            f"{_seen_instead(lines)}; export a table of numbers"
+            f"{' with less text before it' if len(lines) > HEADER_LINES + 1 else ''}"
         )
     names, units, others = _headings(lines[: layout.first], layout)
     end = _end(lines, layout)
@@ -323,7 +324,9 @@ def read_rows(
             columns.append(_remarks(part, layout))
             continue
         if {one.dtype.kind for one in part if one.size} > {"U"}:
-            raise RecordingError(f"{path}: column {j + 1} has numbers in some rows and times in others")
+            raise RecordingError(
+                f"{path}: column {j + 1} has numbers in some rows and times in others; write all its cells in one form"
+            )
         columns.append(np.concatenate(part) if part else np.zeros(0))
     return columns, skipped
 
@@ -368,7 +371,7 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
         if len(row) != layout.width:
             raise RecordingError(
                 f"{path}: line {number + 1} has {len(row)} cells, the first row of numbers (line {layout.first + 1}) "
-                f"has {layout.width}"
+                f"has {layout.width}; correct or delete this line"
             )
         kept.append(row)
         numbers.append(number)

@@ -120,7 +120,7 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
     decimal = "," if general.get("Decimal_Separator", ".").startswith(",") else "."
     segments, left_out = _segments(lines, at + 1, separator)
     if not segments:
-        raise RecordingError(f"{path} is a LabVIEW measurement file without rows of numbers")
+        raise RecordingError(f"{path} is a LabVIEW measurement file without rows of numbers; export it again")
     joined = _joined(segments, decimal)
     for number, segment in enumerate(segments[joined:], joined + 1):
         left_out[f"segment {number}"] = f"{len(segment.rows)} rows, which do not continue the first segment"

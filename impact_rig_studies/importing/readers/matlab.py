@@ -182,7 +182,9 @@ def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, s
             left_out[f"{where}.{name}" if where else name] = why
         texts |= part.texts
     if not signals and left_out:
-        raise RecordingError(f"{path}: no variable of this MATLAB file can be imported: {reasons(left_out)}")
+        raise RecordingError(
+            f"{path}: no variable of this MATLAB file can be read: {reasons(left_out)}; save the signals as vectors"
+        )
     start_ns = next((part.start_ns for part in parts.values() if part.start_ns is not None), None)
     remarks = tuple(dict.fromkeys(one for part in parts.values() for one in part.remarks))
     return ImportedSignals(path, file_format, signals, start_ns, texts, left_out, remarks)

@@ -46,7 +46,8 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """
     if content[:3] == b"CDF":
         raise RecordingError(
-            f"{path} is netCDF of the classic format (netCDF 3): only netCDF4 files of Rattlesnake can be read"
+            f"{path} is netCDF of the classic format (netCDF 3): only netCDF4 files of Rattlesnake can be read; "
+            "export the measurement in another format"
         )
     tree = Hdf5Tree(library, len(content))
     with tree.open(content) as file:
@@ -55,7 +56,10 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
         rate = attribute(file, "sample_rate")
         if not streams or rate is None:
             missing = "attribute sample_rate" if streams else "variable time_data"
-            raise RecordingError(f"{path} is not a file that Rattlesnake streamed: it has no {missing}")
+            raise RecordingError(
+                f"{path} is not a file that Rattlesnake streamed: it has no {missing}; export the measurement in "
+                "another format"
+            )
         rate_hz = float(rate)
         if not (np.isfinite(rate_hz) and rate_hz > 0.0):
             raise RecordingError(

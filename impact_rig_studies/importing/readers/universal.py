@@ -96,7 +96,9 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
             _add(one, data, number, system, signals, names, left_out)
     if not signals:
         why = f": {reasons(left_out)}" if left_out else ""
-        raise RecordingError(f"{path} holds no time response (dataset 58, function type 1){why}")
+        raise RecordingError(
+            f"{path} holds no time response (dataset 58, function type 1){why}; export the measured signals over time"
+        )
     return ImportedSignals(path, "universal file", signals, left_out=left_out)
 
 

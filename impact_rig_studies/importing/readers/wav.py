@@ -52,19 +52,20 @@ def read(path: Path, content: bytes) -> ImportedSignals:
         code = struct.unpack(f"{order}I", form[24:28])[0]  # the first group of a GUID, in the order of the file
     if code not in (PCM, FLOAT):
         raise RecordingError(
-            f"{path}: a WAV file of encoding {code:#x}; only PCM (1) and floating point (3) can be read"
+            f"{path}: a WAV file of encoding {code:#x}; only PCM (1) and floating point (3) can be read; convert it"
         )
     width = block // channels if channels else 0
     if not (
         channels and rate and width in (1, 2, 3, 4, 5, 6, 7, 8) and block == width * channels and 0 < bits <= 8 * width
     ):
         raise RecordingError(
-            f"{path}: damaged WAV header: {channels} channels, {rate} Hz, {bits} bits in {block} bytes a scan; "
-            "export the file again"
+            f"{path}: damaged WAV header: {channels} channels, {rate} Hz, {bits} bits, {block} bytes for one sample of "
+            "all channels; export the file again"
         )
     if code == FLOAT and width not in (4, 8):
         raise RecordingError(
-            f"{path}: a WAV file of floating point with {8 * width} bits a sample; only 32 and 64 can be read"
+            f"{path}: a WAV file of floating point with {8 * width} bits a sample; only 32 and 64 can be read; "
+            "convert it"
         )
     check_column_count(channels)
     count = len(data) // block
@@ -79,7 +80,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     left_out = {}
     if claimed > len(data):
         left_out["end of the file"] = (
-            f"the header claims {claimed // block} scans, {count} are there: "
+            f"the header claims {claimed // block} samples per channel, {count} are there: "
             f"{(claimed - len(data)) / claimed:.0%} is missing"
         )
     return ImportedSignals(path, "WAV", signals, left_out=left_out)
@@ -104,14 +105,14 @@ def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, 
             form = content[begin : begin + size]
         elif name == b"data":
             if len(form) < 16:
-                raise RecordingError(f"{path}: damaged WAV file: no format before its samples")
+                raise RecordingError(f"{path}: damaged WAV file: no format before its samples; export it again")
             if size == 0xFFFFFFFF and wide:
                 size = wide
             there = len(content) - begin
             claimed = there if size in _UNKNOWN_SIZE else size
             return form, memoryview(content)[begin : begin + min(claimed, there)], claimed
         at = begin + size + size % 2
-    raise RecordingError(f"{path}: damaged WAV file: it has no {'samples' if form else 'format'}")
+    raise RecordingError(f"{path}: damaged WAV file: it has no {'samples' if form else 'format'}; export it again")
 
 
 def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> Real:
