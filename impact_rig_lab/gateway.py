@@ -371,7 +371,7 @@ class Gateway:
         client = self.client.prepare(service_type, name)
         await self.until(client.service_is_ready, f"the service {name}; is its node running?", timeout_s)
         with ServiceCall(client, request) as call:
-            response = await self.until(call.response, f"an answer of {name}", timeout_s)
+            response = await self.until(call.response, f"an answer of {name}; repeat the request", timeout_s)
         result = getattr(response, "result", None)  # for set parameters
         done, words = (result.successful, result.reason) if result else (response.success, response.message)
         if not done:
@@ -399,7 +399,7 @@ class Gateway:
                     all(self.record.knobs.get(name) == value for name, value in target.items())
                     or self.record.knobs is not knobs
                 ),
-                "the rig to publish the accepted values on rig/configuration",
+                "the rig to publish the accepted values on rig/configuration; repeat the request",
                 ECHO_S,
             )
 
@@ -438,7 +438,8 @@ class Gateway:
                 raise Refused(words)
             return False
 
-        await self.until(is_answered, f"the rig to publish {column} {value:g} on shaker/applied", ANSWER_S)
+        what = f"the rig to publish {column} {value:g} on shaker/applied; repeat the request"
+        await self.until(is_answered, what, ANSWER_S)
         return f"{column} {value:g}"
 
     # The rig
@@ -686,7 +687,9 @@ class Gateway:
         """
         own = self._own
         if own is None:
-            raise Refused("this lab did not start the rig, so it cannot restart it: restart it where it was started")
+            raise Refused(
+                "this lab did not start the rig, so it cannot restart it: restart the rig where it was started"
+            )
         ended = [name for name in list(own.processes.running) if own.ended(name)]
         if not ended:
             raise Refused(

@@ -110,7 +110,9 @@ class RunPlayer:
                 calibration = codec.decode(info.data, topics.INFO)
                 self.rate_hz, self.start_ns = scan_rate(calibration), start_ns(calibration)
             except ImpactRigError as error:
-                raise RecordingError(f"{path}: its calibration (daq/info) is unusable: {error}") from error
+                raise RecordingError(
+                    f"{path}: its calibration (daq/info) is unusable: {error}; choose another run"
+                ) from error
             first = next(self._messages([topics.SCAN]), None)
             if first is None:
                 raise RecordingError(

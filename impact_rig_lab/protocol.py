@@ -232,7 +232,7 @@ def parse(raw: str | bytes) -> Request:
     try:
         found = json.loads(raw)
     except (ValueError, RecursionError) as error:  # not JSON, not UTF-8, or nested too deeply
-        raise RequestError(f"a request must be JSON; this one cannot be parsed ({type(error).__name__})") from error
+        raise RequestError(f"a request must be a JSON object, got {_short(raw)}") from error
     if not isinstance(found, dict):
         raise RequestError(f"a request must be a JSON object, got {_short(found)}")
     do = found.pop("do", None)

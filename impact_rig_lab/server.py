@@ -374,7 +374,7 @@ class Server:
             if isinstance(self._failure, OSError):
                 reason = self._failure.strerror or str(self._failure)
             raise ImpactRigError(
-                f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another port or host"
+                f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another --port or --host"
             ) from self._failure
 
     def close(self) -> None:

@@ -184,7 +184,7 @@ def continued(directory: Path) -> Continued:
     if study.over != FREQUENCY:
         raise ConfigError(
             f"{directory} has branches of `impact-rig dynamics continue` over {study.over}, but the page can draw only "
-            f"those over {FREQUENCY}: choose another --branches"
+            f"those over {FREQUENCY}: choose another directory for --branches"
         )
     rig = to_flat(study.base)
     return Continued(

@@ -390,7 +390,8 @@ def _check_corners(plan: MapPlan) -> None:
         for value in (line.values[0], line.values[-1]):
             changes, frequency, current, sphere = line.place(value)
             if not (frequency > 0.0 and current > 0.0):
-                raise ConfigError(f"{FREQUENCY} and {CURRENT} must be > 0, got {frequency:g} and {current:g}")
+                name, wrong = (CURRENT, current) if frequency > 0.0 else (FREQUENCY, frequency)
+                raise axes.wrong(name, "> 0", wrong)
             config = from_flat(from_flat(RigConfig(), line.changes), changes)
             place, speed = sphere or (0.0, 0.0)
             half = 0.5 * config.barriers.gap_m

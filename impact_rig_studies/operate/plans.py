@@ -118,7 +118,10 @@ class SweepPlan:
 
     def __attrs_post_init__(self) -> None:
         if len(set(self.frequencies_hz)) != len(self.frequencies_hz):
-            raise ConfigError(f"frequencies_hz must not repeat a frequency, got {self.frequencies_hz!r}")
+            repeated = next(one for one in self.frequencies_hz if self.frequencies_hz.count(one) > 1)
+            raise ConfigError(
+                f"frequencies_hz (--frequencies) must not repeat a frequency, got {repeated:g} Hz more than once"
+            )
 
     def points(self) -> tuple[float, ...]:
         """Return the drive frequencies [Hz] in the order of measurement; for up_down each occurs twice."""
@@ -232,6 +235,6 @@ class LockPlan(LockSettings):
     def __attrs_post_init__(self) -> None:
         if not self.low_hz < self.start_hz < self.high_hz:
             raise ConfigError(
-                f"start_hz (--start) must be > {self.low_hz:g} (low_hz) and < {self.high_hz:g} (high_hz), got "
-                f"{self.start_hz:g}"
+                f"start_hz (--start) must be > {self.low_hz:g} Hz (low_hz) and < {self.high_hz:g} Hz (high_hz), "
+                f"got {self.start_hz:g} Hz"
             )
