@@ -103,7 +103,9 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
         raise CodecError(f"rows must be one-dimensional, got shape {rows.shape}")
     seconds, nanoseconds = divmod(table.stamp_ns, NS_PER_S)
     if not -(2**31) <= seconds < 2**31:
-        raise CodecError(f"stamp_ns must be at least -2**31 s and below 2**31 s, got {table.stamp_ns} ns")
+        raise CodecError(
+            f"stamp_ns must be >= {-(2**31) * NS_PER_S} and < {2**31 * NS_PER_S} ns, got {table.stamp_ns} ns"
+        )
     frame, layout = _constant_parts(rows.dtype, frame_prefix + table.frame_id)
     data = rows.tobytes()
     return b"".join(
@@ -247,7 +249,8 @@ def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Pl
     for name, wanted in kinds:
         got = there.get(name, wanted)
         if (got.kind == "S") != (wanted.kind == "S") or not np.can_cast(got, wanted, "safe"):
-            raise CodecError(f"{topic.name}: column {name!r} must be of type {wanted.str}, got {got.str}")
+            needed, present = ("text" if one.kind == "S" else one.name for one in (wanted, got))
+            raise CodecError(f"{topic.name}: column {name!r} must be of type {needed}, got {present}")
     fits = not absent and all(there[name] == wanted for name, wanted in kinds)
     dtype = found if fits else np.dtype(kinds)
     places: Mapping[str, Any] = dtype.fields or {}
@@ -340,13 +343,14 @@ def _head(view: memoryview) -> _Head:
     frame_id = cursor.text("frame_id")
     height, width = cursor.u4("height"), cursor.u4("width")
     if height != 1:
-        raise CodecError(f"height must be 1, got {height}")
+        raise CodecError(f"height of the PointCloud2 must be 1, got {height}")
     dtype = _layout(cursor)
     row_step, length = cursor.u4("row_step"), cursor.u4("length of data")
     if not row_step == length == width * dtype.itemsize:
+        name, wrong = ("length of data", length) if row_step == width * dtype.itemsize else ("row_step", row_step)
         raise CodecError(
-            f"row_step and length of data must both be width * point_step = {width} * {dtype.itemsize}, "
-            f"got {row_step} and {length}"
+            f"{name} must be width * point_step = {width} * {dtype.itemsize} = {width * dtype.itemsize} bytes, "
+            f"got {wrong}"
         )
     start = cursor.take(length, "data")
     cursor.u1("is_dense")
@@ -377,7 +381,7 @@ def header_stamp_ns(data: Buffer) -> int:
     encapsulation, seconds, nanoseconds = _BEGINNING.unpack_from(data)
     if encapsulation != _LITTLE_ENDIAN:
         if encapsulation == _BIG_ENDIAN:
-            raise CodecError("big-endian CDR (encapsulation 00 00) is not supported")
+            raise CodecError("encapsulation must be 00 01 (little-endian CDR), got 00 00 (big-endian CDR)")
         raise CodecError(f"encapsulation must be 00 01 (little-endian CDR), got {encapsulation.hex(' ')}")
     if nanoseconds >= NS_PER_S:
         raise CodecError(f"nanoseconds of the stamp must be < {NS_PER_S}, got {nanoseconds}")
@@ -515,14 +519,14 @@ class _Cursor:
         try:
             return raw[:-1].decode("utf-8")
         except UnicodeDecodeError as error:
-            raise CodecError(f"{what} is not UTF-8: {raw[:40]!r}") from error
+            raise CodecError(f"{what} must be UTF-8, got {raw[:40]!r}") from error
 
 
 def _layout(cursor: _Cursor) -> np.dtype[np.void]:
     """Read the members `fields`, `is_bigendian` and `point_step` of a PointCloud2, and return the type of its rows."""
     columns = _columns(cursor)
     if cursor.u1("is_bigendian"):
-        raise CodecError("big-endian data (is_bigendian is set) is not supported")
+        raise CodecError("data must be little-endian, got is_bigendian = true")
     return _dtype(columns, cursor.u4("point_step"))
 
 
@@ -559,11 +563,11 @@ def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.
 
     Columns may be in any order and leave gaps, but must not overlap or exceed the row.
     """
-    end = 0
+    before, end = "", 0
     for name, (fmt, offset) in sorted(columns.items(), key=lambda item: item[1][1]):
         if offset < end:
-            raise CodecError(f"field {name!r} at offset {offset} overlaps another field, which ends at {end}")
-        end = offset + np.dtype(fmt).itemsize
+            raise CodecError(f"field {name!r} at offset {offset} overlaps field {before!r}, which ends at {end}")
+        before, end = name, offset + np.dtype(fmt).itemsize
     # limit of NumPy; a larger point can only occur with width 0, since all of its bytes must be in the message
     if not end <= point_step < 2**31:
         raise CodecError(f"point_step must be >= {end} (end of the last field) and < 2**31, got {point_step}")
@@ -621,7 +625,7 @@ def _append_text(stream: bytearray, text: str, what: str) -> None:
     try:
         raw = text.encode("utf-8")
     except UnicodeEncodeError as error:
-        raise CodecError(f"{what} cannot be written as UTF-8: {text!r}") from error
+        raise CodecError(f"{what} must be text that UTF-8 can encode, got {text!r}") from error
     if b"\0" in raw:
         raise CodecError(f"{what} must not hold a NUL, got {text!r}")
     _append_u4(stream, len(raw) + 1)

@@ -58,7 +58,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.scans import ACCELEROMETER, CHANNELS, CURRENT
+from impact_rig.analysis.scans import ACCELEROMETER, CHANNELS, CURRENT, PUBLISHER_REMEDY
 from impact_rig.blocks import MOST_HZ
 from impact_rig.errors import ConfigError
 
@@ -106,7 +106,6 @@ COLUMNS = (
     "bandwidth", "linearity", *STEPS, "high_pass",
 )  # fmt: skip
 LARGEST = 1e100  # limit of every figure, so that its square does not overflow
-_REMEDY = "correct the program that publishes it"
 
 
 @attrs.frozen(eq=False)
@@ -160,7 +159,7 @@ class Calibration:
         if counts.max() != 1:
             raise ConfigError(
                 f"daq/info must list one or more of the channels {', '.join(CHANNELS)}, each once, and may list "
-                f"others, got {', '.join(names) or 'no rows'}; {_REMEDY}"
+                f"others, got {', '.join(names) or 'no rows'}; {PUBLISHER_REMEDY}"
             )
         present = counts == 1
         measured = [names.index(channel) for channel in CHANNELS if channel in names]
@@ -169,20 +168,21 @@ class Calibration:
         ordered[present] = rows[measured]
         rate = float(ordered["rate"][0])
         if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ):
+            rule = "the same for all channels" if 0 < rate <= MOST_HZ else f"> 0 and <= {MOST_HZ:g} Hz"
             raise ConfigError(
-                f"daq/info: rate must be the same for all channels, above 0 and at most {MOST_HZ:g} Hz, "
-                f"got {_by_channel(ordered['rate'], present)}; {_REMEDY}"
+                f"daq/info: rate must be {rule}, got {_by_channel(ordered['rate'], present)} Hz; {PUBLISHER_REMEDY}"
             )
-        if not np.all(ordered["range_low"] < ordered["range_high"]):
+        empty = ~(ordered["range_low"] < ordered["range_high"])
+        if np.any(empty):
             raise ConfigError(
-                "daq/info: range_low must be < range_high, got range_low "
-                f"{_by_channel(ordered['range_low'], present)} and range_high "
-                f"{_by_channel(ordered['range_high'], present)}; {_REMEDY}"
+                f"daq/info: range_low must be < range_high, got range_low {_by_channel(ordered['range_low'], empty)} "
+                f"and range_high {_by_channel(ordered['range_high'], empty)}; {PUBLISHER_REMEDY}"
             )
-        if not set(ordered["lag_order"].tolist()) <= set(LAG_MODELS):
+        unknown = ~np.isin(ordered["lag_order"], list(LAG_MODELS))
+        if np.any(unknown):
             raise ConfigError(
-                f"daq/info: lag_order must be one of 0, 1, 2, got {_by_channel(ordered['lag_order'], present)}; "
-                f"{_REMEDY}"
+                f"daq/info: lag_order must be one of 0, 1, 2, got {_by_channel(ordered['lag_order'], unknown)}; "
+                f"{PUBLISHER_REMEDY}"
             )
         known = {name: ordered[name] for name in COLUMNS if name in (ordered.dtype.names or ())}
         is_own = bool(set(STEPS) - set(known))  # written by this package before it had these columns: its steps round
@@ -194,10 +194,11 @@ class Calibration:
         )
         for name, values in known.items():
             sizes = np.abs(values)
-            if np.any((sizes > LARGEST) & np.isfinite(sizes)):
+            large = (sizes > LARGEST) & np.isfinite(sizes)
+            if np.any(large):
                 raise ConfigError(
                     f"daq/info: {name} must be within ±{LARGEST:g}, infinite, or NaN if unknown, got "
-                    f"{_by_channel(values, present)}; {_REMEDY}"
+                    f"{_by_channel(values, large)}; {PUBLISHER_REMEDY}"
                 )
         figures = [_finite(known[name]) for name in COLUMNS]
         derivative = np.array([DERIVATIVES.get(bytes(unit), 0) for unit in ordered["unit"]])
@@ -358,10 +359,10 @@ class Calibration:
         return complex(np.log(model(omega_lag * (1 + step)) / model(omega_lag * (1 - step))) / (2 * step))
 
 
-def _by_channel(column: NDArray[np.float64], present: NDArray[np.bool_]) -> str:
-    """Return the values of the present channels as text for an error message, each with the name of its channel."""
-    found = zip(CHANNELS, column.tolist(), present.tolist(), strict=True)
-    return ", ".join(f"{value!r} ({name})" for name, value, there in found if there)
+def _by_channel(column: NDArray[np.float64], chosen: NDArray[np.bool_]) -> str:
+    """Return the values of the chosen channels as text for an error message, each with the name of its channel."""
+    found = zip(CHANNELS, column.tolist(), chosen.tolist(), strict=True)
+    return ", ".join(f"{value!r} ({name})" for name, value, is_chosen in found if is_chosen)
 
 
 def _finite(column: NDArray[np.float64]) -> Real:

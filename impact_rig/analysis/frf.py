@@ -138,9 +138,12 @@ def frf(
         raise ValueError(f"overlap must be >= 0 and < 1, got {overlap}")
     for name, values in (("x (excitation)", x), ("y (response)", y)):
         if not np.all(np.isfinite(values)):
-            raise ValueError(f"{name} must be finite, got a sample that is NaN or infinite")
+            wrong = int(np.argmin(np.isfinite(values)))
+            raise ValueError(f"{name} must be finite, got {values[wrong]} in sample {wrong}, counted from 0")
         if np.ptp(values) == 0.0:
-            raise ValueError(f"{name} must not be constant, got {values[0]:g} in all samples")
+            raise ValueError(
+                f"{name} must not be constant, got {values[0]:g} in all samples: check the drive and this channel"
+            )
     shared = int(overlap * segment)
     options = {"fs": rate_hz, "window": window, "nperseg": segment, "noverlap": shared}
     frequency, s_xx = scipy.signal.welch(x, **options)

@@ -40,6 +40,8 @@ _TIME, _STATUS = topics.SCAN.fields
 SCAN_COLUMNS = (_TIME, *(Column(name, "SI", "Its reading.") for name in CHANNELS), _STATUS)
 SCAN = row_type(SCAN_COLUMNS)
 """Row type of `daq/scan` with exactly the channels of `CHANNELS`, in this order."""
+PUBLISHER_REMEDY = "correct the program that publishes it (a recording of it must be made again)"
+"""End of error messages about an invalid table."""
 _FRAME = (_TIME.name, _STATUS.name)
 _IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 
@@ -117,16 +119,15 @@ def need_columns(
     found = table.rows.dtype
     if found == wanted:
         return
-    remedy = "correct the program that publishes it (a recording of it must be made again)"
     names = found.names or ()
     missing = [name for name in wanted.names or () if name not in names and name not in later]
     if missing:
-        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}{why and f' ({why})'}; {remedy}")
+        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}{why and f' ({why})'}; {PUBLISHER_REMEDY}")
     for name in set(names).intersection(wanted.names or ()):
         is_text = found[name].kind == "S"
         if is_text != (wanted[name].kind == "S"):
             has = "text instead of numbers" if is_text else "numbers instead of text"
-            raise ConfigError(f"{topic} has {has} in the column {name}; {remedy}")
+            raise ConfigError(f"{topic} has {has} in the column {name}; {PUBLISHER_REMEDY}")
 
 
 class ScanBuffer:

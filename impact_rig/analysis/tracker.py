@@ -34,7 +34,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import NO_IMPACTS, ImpactDetector, counted, impact_tables
-from impact_rig.analysis.scans import CHANNELS, SCAN, ScanBuffer, need_columns
+from impact_rig.analysis.scans import CHANNELS, PUBLISHER_REMEDY, SCAN, ScanBuffer, need_columns
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import NOTICED_CYCLES, NOTICED_S, ImpactPause, Judge, Progress, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
@@ -199,7 +199,7 @@ class Tracker:
         if not abs(info.rows["since_start"][0]) <= LONGEST_S:
             raise ConfigError(
                 f"daq/info: since_start, the time from scan 0 to the stamp, must be within ±{LONGEST_S:g} s, got "
-                f"{float(info.rows['since_start'][0]):g}; correct the program that publishes it"
+                f"{float(info.rows['since_start'][0]):g} s; {PUBLISHER_REMEDY}"
             )
         start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         rows = info.rows.copy()
@@ -239,7 +239,7 @@ class Tracker:
             first = applied.rows["time"][np.argmax(~(np.abs(applied.rows["time"]) <= LONGEST_S))]
             raise ConfigError(
                 f"shaker/applied: time, which counts from the stamp, must be within ±{LONGEST_S:g} s in every row, got "
-                f"{first:g}"
+                f"{first:g} s; {PUBLISHER_REMEDY}"
             )
         for row in applied.rows:
             instant = applied.stamp_ns + round(float(row["time"]) * NS_PER_S)

@@ -94,7 +94,7 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
     """
     settled = rows[rows["settled"] == 1.0]
     if not len(settled):
-        console.print("no settled measurement in this run")
+        console.print("no settled measurement in this run; --all lists the measurements and their statuses")
         unsettled = rows[rows["status"] == Status.NOT_SETTLED.value.encode()]
         if len(unsettled):
             row = unsettled[-1]
@@ -221,7 +221,7 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
     resonance = found.resonance
     lines = f"lines {apart_hz:.3g} Hz apart"
     if resonance is None:
-        return [f"{lines}; no single resonance fits this record, so it is unknown whether they resolve its peak"]
+        return [f"{lines}; no single resonance fits this record, so it is unknown whether the lines resolve a peak"]
     where = f"the resonance in the record is at {resonance.frequency_hz:.3f} Hz"
     wide = f"{resonance.width_hz:.3g} Hz wide at half power"
     said = [f"{lines}; {where}, with a damping ratio of {resonance.damping_ratio:.5f}, and is {wide}"]
@@ -229,9 +229,9 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
         above = f"{100 * found.bias:.0f} % higher than" if found.bias < 1.0 else "several times as high as"
         need = resolving_s(resonance, window)
         said.append(
-            f"WARNING: the lines do not resolve its peak: the true peak may be {above} the printed one, which ± 2u "
-            f"includes; --segment {need:.0f}, with a record of {SEGMENTS * need:.0f} s, reduces this error to "
-            f"{100 * RESOLVED:.0f} %"
+            f"WARNING: the lines do not resolve the resonance's peak: the true peak may be {above} the printed one, "
+            f"which ± 2u includes; --segment {need:.0f}, with a record of {SEGMENTS * need:.0f} s, reduces this error "
+            f"to {100 * RESOLVED:.0f} %"
         )
     return said
 
@@ -290,7 +290,10 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     draw_figure(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
     if measured is None:
         missing = " and ".join(name for name in ("laser", "base") if name not in found.fits)
-        console.print(f"no DT: it needs the motion of structure (laser) and base, but the run has no {missing}")
+        console.print(
+            f"no DT: it needs the channels laser (structure) and base, but the run has no {missing}; record a run with "
+            "both"
+        )
         return 0
     if measured.status not in MEASURED or not math.isfinite(measured.u_transmissibility):
         console.print(

@@ -51,7 +51,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     if tables is not None:
         table = tables.get(arguments.topic)
         if table is None:
-            listed = f"the tables {', '.join(tables)}" if tables else "no tables yet"
+            listed = f"the tables {', '.join(tables)}" if tables else "no tables yet: export again when it has results"
             raise ConfigError(f"{path} has no table {arguments.topic!r}; it has {listed}")
         columns = table(target.suffix)
         written = write_columns(lambda: iter([columns]), target)

@@ -29,6 +29,7 @@ from impact_rig.system import files
 DOCUMENT = Path(__file__).parents[1] / "interface.json"
 """Path of this version's interface document; `make generate` writes it from topics, services and parameters."""
 MAX_BYTES = 5_000_000
+_MALFORMED = "{} is not a document of `impact-rig interface --json`: write it again with the earlier version"
 CLIENTS = ("client", "peers")  # publishers of the rig's inputs
 
 Row = dict[str, Any]
@@ -49,7 +50,7 @@ def run_interface(arguments: argparse.Namespace) -> int:
     try:
         breaks, other = differences(read(arguments.against), present)
     except (AttributeError, KeyError, TypeError) as error:
-        raise ConfigError(f"not a document written by `impact-rig interface --json` ({arguments.against})") from error
+        raise ConfigError(_MALFORMED.format(arguments.against)) from error
     if arguments.json:
         tell_json({"breaks": breaks, "other": other})
     else:
@@ -85,7 +86,7 @@ def read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"cannot read the interface document: {files.reason_unreadable(error, path)}") from error
     except (ValueError, TypeError, RecursionError) as error:
-        raise ConfigError(f"not a document written by `impact-rig interface --json` ({path})") from error
+        raise ConfigError(_MALFORMED.format(path)) from error
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[str], list[str]]:

@@ -113,11 +113,13 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     rate = {} if rate_hz is None else {"daq.rate_hz": rate_hz, "daq.block_scans": rate_hz // 100 or 1}
     seed = {} if arguments.seed is None else {"daq.seed": arguments.seed}
     config = from_flat(config, {**rate, **seed})
-    if config.drive.kind != "current" or config.drive.waveform != "sine":
-        raise ConfigError(
-            f"{arguments.config}: drive.kind must be current and drive.waveform sine, the only drive that this command "
-            f"records, got {config.drive.kind} and {config.drive.waveform}"
-        )
+    drive = config.drive
+    for key, present, needed in (("drive.kind", drive.kind, "current"), ("drive.waveform", drive.waveform, "sine")):
+        if present != needed:
+            raise ConfigError(
+                f"{arguments.config}: {key} must be {needed}, as this command records only sine drives of the current, "
+                f"got {present}"
+            )
     arguments.frequency = FREQUENCY_HZ if arguments.frequency is None else arguments.frequency
     arguments.current = CURRENT_A if arguments.current is None else arguments.current
     Rig(config).accept(frequency_hz=arguments.frequency, amplitude=arguments.current)  # before any file is created

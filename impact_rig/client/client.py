@@ -144,7 +144,7 @@ class Collector:
         """
         parts = [table.rows for table in self.tables()]
         assert parts or self.topic.columns is not None, (
-            f"{self.topic.name}: no table received; does this topic carry tables?"
+            f"{self.topic.name}: no table received: check that this topic carries tables, and wait for one"
         )
         return np.concatenate(parts) if parts else np.empty(0, self.topic.columns)
 
@@ -1027,7 +1027,7 @@ class Client:
         The text lists the messages of unhealthy nodes, or says that no node has reported; otherwise it is empty.
         """
         if not self.diagnostics:
-            return f" (no node has reported in ROS domain {self.domain_id})"
+            return f" (no node has reported in ROS domain {self.domain_id}: check that the rig runs in this domain)"
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]
         return f" ({'; '.join(bad)})" if bad else ""
 

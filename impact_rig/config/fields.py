@@ -142,7 +142,11 @@ def describe_fields(section: type[S]) -> type[S]:
 
 
 def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigError:
-    return ConfigError(f"{attribute.name} must be {rule}, got {quoted(value)}{info(attribute).unit_text}")
+    if value is None or isinstance(value, bool):  # as in YAML
+        got = "nothing" if value is None else str(value).lower()
+    else:
+        got = quoted(value) + (info(attribute).unit_text if isinstance(value, (int, float)) else "")
+    return ConfigError(f"{attribute.name} must be {rule}, got {got}")
 
 
 def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
@@ -153,7 +157,8 @@ def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:
 
 def _check_float(_instance: object, attribute: attrs.Attribute[Any], value: object) -> None:
     if not isinstance(value, float):
-        raise _wrong(attribute, "a number", value)
+        unit = info(attribute).unit_text
+        raise _wrong(attribute, f"a number in{unit}" if unit else "a number", value)
     _in_range(attribute, value)
     if value and not LEAST <= abs(value) <= MOST:
         raise _wrong(attribute, f"0 or of a magnitude from {LEAST:g} to {MOST:g}", value)

@@ -284,7 +284,7 @@ class Time:
     def __attrs_post_init__(self) -> None:
         if self.mode == "free_running" and not self.peers:
             raise ConfigError(
-                "peers must name the nodes whose acknowledgements pace the rig if time.mode is free_running, got []"
+                "peers must name the nodes whose acknowledgements pace the rig if time.mode is free_running, got none"
             )
 
     @property

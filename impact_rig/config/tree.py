@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import functools
 import operator
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar  # Any: what a mapping within another holds
@@ -83,9 +84,12 @@ class Tree(Generic[Root]):
         """
         try:
             text = str(content, "utf-8")
-        except ValueError as error:
-            why = " ".join(str(error).split())
-            raise ConfigError(f"cannot be read as plain YAML: it must be UTF-8 text, {why}") from error
+        except UnicodeDecodeError as error:
+            line = content.count(b"\n", 0, error.start) + 1
+            raise ConfigError(
+                f"cannot be read as plain YAML: it must be UTF-8 text, got byte 0x{content[error.start]:02x} in line "
+                f"{line}; save it as UTF-8"
+            ) from error
         return self.from_flat(self.root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
@@ -96,9 +100,9 @@ class Tree(Generic[Root]):
         """
         for name in changes:
             if name not in self._known:
-                raise ConfigError(
-                    f"unknown key {quoted(name)}" + did_you_mean(name, self._known, ", did you mean {!r}?")
-                )
+                groups = dict.fromkeys(re.sub(r"\..*", ".*", known) for known in self._known)
+                hint = did_you_mean(name, self._known, ", did you mean {!r}?", f", known: {', '.join(groups)}")
+                raise ConfigError(f"unknown key {quoted(name)}{hint}")
         changed = _evolve(base, nested(changes, _Nested))
         assert isinstance(changed, self.root)
         return changed
@@ -158,13 +162,17 @@ def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]
         ConfigError: a key is not a text, `tree` is not a mapping, or there are too many keys or levels.
     """
     if depth > MAX_DEPTH:
-        raise ConfigError(f"sections are nested too deep: at most {MAX_DEPTH} levels are allowed")
+        raise ConfigError(
+            f"section {quoted(prefix.removesuffix('.'))} is nested too deep: at most {MAX_DEPTH} levels are allowed"
+        )
     if not isinstance(tree, dict):
-        raise ConfigError(f"a configuration must be a mapping of sections, got {type(tree).__name__}")
+        got = "a list" if isinstance(tree, list) else "a single value"
+        raise ConfigError(f"a configuration must be a mapping of sections, got {got}")
     flat: dict[str, object] = {}
     for key, value in tree.items():
         if not isinstance(key, str):
-            raise ConfigError(f"a key must be a text, got {quoted(key)}")
+            where = f" in {quoted(prefix.removesuffix('.'))}" if prefix else ""
+            raise ConfigError(f"a key must be a text, got {quoted(key)}{where}")
         name = f"{prefix}{key}"
         if isinstance(value, dict) and value:
             flat.update(flatten(value, f"{name}.", depth + 1))

@@ -386,7 +386,9 @@ class Board:
         task.must_be_idle()
         if task.kind not in {"", kind}:
             raise DaqmxError(
-                Code.INVALID_TASK, "a task has inputs or outputs, not both: create a second task for the others"
+                Code.INVALID_TASK,
+                f"task {task.name!r} has {'inputs' if task.kind == 'ai' else 'an output'}, and a task cannot have both "
+                f"kinds: create a second task for the {'inputs' if kind == 'ai' else 'output'}",
             )
         found, added = self.physical_channels(physical, kind), list[BoardChannel]()
         for number, (device, channel) in enumerate(found):
@@ -584,7 +586,9 @@ class Board:
                 samples do not arrive in time, were overwritten, or exceed what is left of a finite task.
         """
         if task.kind != "ai":
-            raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels to read: add some first")
+            raise DaqmxError(
+                Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels: read a task with inputs"
+            )
         if count > most:
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE, f"one call can read at most {most} samples per channel, not {count}"
@@ -609,7 +613,10 @@ class Board:
             timeout_s,
             goes_on,
             Code.SAMPLES_NOT_YET_AVAILABLE,
-            lambda: f"timeout after {timeout_s:g} s: {task.available} of {wanted} samples arrived ({task.state.value})",
+            lambda: (
+                f"timeout after {timeout_s:g} s: {task.available} of {wanted} samples arrived (task: "
+                f"{task.state.value}); allow more time, or read fewer samples"
+            ),
         )
         assert task.acquisition is not None
         values = self._values(task, task.acquisition.read(wanted))
@@ -649,7 +656,8 @@ class Board:
         """
         if task.kind != "ao":
             raise DaqmxError(
-                Code.WRITE_NO_OUTPUT_CHANS_IN_TASK, "the task has no output channel to write to: add ao0 first"
+                Code.WRITE_NO_OUTPUT_CHANS_IN_TASK,
+                "the task has no output channel: write to a task with the output ao0",
             )
         task.raise_error()
         low, high = max(task.channels[0].low, -OUTPUT_RANGE_V), min(task.channels[0].high, OUTPUT_RANGE_V)
@@ -698,7 +706,10 @@ class Board:
             timeout_s,
             goes_on,
             Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
-            lambda: f"timeout after {timeout_s:g} s: no room for {len(values)} samples, {len(task.data)} are queued",
+            lambda: (
+                f"timeout after {timeout_s:g} s: no room for {len(values)} samples, {len(task.data)} of at most {size} "
+                "are queued; allow more time, or write fewer samples"
+            ),
         )
         task.data = np.concatenate([task.data, values])
 
@@ -720,7 +731,10 @@ class Board:
             timeout_s,
             goes_on,
             Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
-            lambda: f"timeout after {timeout_s:g} s: the task is not done ({task.state.value})",
+            lambda: (
+                f"timeout after {timeout_s:g} s: the task is not done (task: {task.state.value}); allow more time, or "
+                "stop the task"
+            ),
         )
 
     def _wait(
@@ -866,11 +880,13 @@ class Board:
         if self._rig is not None and wanted == (self._rig.rate_hz, self._rig.stream_rate_hz):
             return self._rig
         if self._rig is not None and any(one.is_active for one in self.tasks.values()):
+            what, present, new = ("input", self._rig.rate_hz, wanted[0])
+            if present == new:
+                what, present, new = ("output", self._rig.stream_rate_hz, wanted[1])
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE,
-                f"SampClk.Rate: a running task keeps input and output at {self._rig.rate_hz} and "
-                f"{self._rig.stream_rate_hz} Hz, so they cannot run at {wanted[0]} and {wanted[1]} Hz: stop that task "
-                "first",
+                f"SampClk.Rate: a running task keeps the {what} at {present} Hz, so it cannot run at {new} Hz: stop "
+                "that task first",
             )
         self._config = config
         self._rig, self._epoch = LocalRig(config), time.monotonic()
@@ -893,7 +909,8 @@ class Board:
                 if rate != known[key]:
                     raise DaqmxError(
                         Code.INVALID_ATTRIBUTE_VALUE,
-                        f"SampClk.Rate: the running rig has {known[key]} Hz, which a task cannot change to {rate} Hz",
+                        f"SampClk.Rate: the running rig has {known[key]} Hz, which a task cannot change to {rate} Hz: "
+                        f"use {known[key]} Hz, or start the rig with {key}: {rate}",
                     )
             return self._fixed.config
         rate_hz = rates.get("daq.rate_hz", self._config.daq.rate_hz)

@@ -424,7 +424,7 @@ class Service:
             found = self._task_properties(self._task(request))
         kind = PROPERTY_TYPES.get(name.partition("Attribute")[2])
         if kind is None or not isinstance(found.get(attribute), kind):
-            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} is not supported by this board")
+            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} is not supported by this board: omit it")
         return found[attribute]
 
     def _system_properties(self) -> dict[int, Any]:
@@ -527,7 +527,7 @@ class Service:
         elif attribute in highs:
             self.board.configure_range(task, request.channel, high=value)
         else:
-            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} cannot be set on this board")
+            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} cannot be set on this board: omit it")
 
     @_served
     def GetErrorString(self, request: Any, context: Any) -> dict[str, Any]:
@@ -611,7 +611,7 @@ def _reason(address: str) -> str:
         with socket.socket(family, kind) as probe:
             probe.bind(where)
     except OSError as error:
-        return str(error.strerror)
+        return f"{error.strerror}; choose another address or port"
     return "gRPC does not accept this address; use HOST:PORT with a name or IP address of this machine"
 
 

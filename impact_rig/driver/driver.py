@@ -353,7 +353,7 @@ class RigDriver(abc.ABC):
             way = f"from which it advances by multiples of {self.block_scans} samples (whole blocks)"
             raise ConfigError(
                 f"cannot run to sample {sample}: {self.name} is at sample {self.sample}, "
-                f"{'already past it' if blocks < 0 else way}"
+                f"{'already past it; choose a later one' if blocks < 0 else way}"
             )
         if blocks:
             self.step(blocks)

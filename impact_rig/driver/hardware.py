@@ -439,7 +439,8 @@ class Hardware:
                 scan = self.rig.first_scan(table) + int(beyond[0])
                 reading, unit = table.rows[channel][beyond[0]], INSTRUMENTS[channel].unit
                 raise CommandError(
-                    f"aborted: {channel} reads {reading:.6g} {unit}, beyond the limit ±{limit:g} {unit}, at scan {scan}"
+                    f"aborted: {channel} reads {reading:.6g} {unit}, beyond the limit ±{limit:g} {unit}, at scan "
+                    f"{scan}; reduce the drive, or raise this limit"
                 )
 
 

@@ -757,8 +757,8 @@ class RosRig(RigDriver):
         except OSError as error:
             self._run = run  # so that another directory can be tried
             raise RecordingError(
-                f"the run cannot be copied to {directory}: {error}; save it to another directory, or copy it from "
-                f"{run} before the rig is closed"
+                f"the run cannot be copied to {directory}: {error.strerror or error}; save it to another directory, or "
+                f"copy it from {run} before the rig is closed"
             ) from error
         return directory
 

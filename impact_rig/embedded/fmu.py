@@ -112,12 +112,15 @@ def _compile(work: Path, kernels: Path) -> str:
         done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603  # the user's compiler
         made = subprocess.run([*compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)  # noqa: S603
     except OSError as error:
-        raise ImpactRigError(f"an FMU needs a C compiler ({error}): install gcc, or name another in CC") from None
+        raise ImpactRigError(
+            f"an FMU needs a C compiler ({compiler()[0]}: {error.strerror}): install gcc, or name another in CC"
+        ) from None
     if done.returncode:
         errors = (line for line in done.stderr.splitlines() if "error" in line)
         why = next(errors, f"exit code {done.returncode}")
         raise ImpactRigError(
-            f"the FMU cannot be built with the compiled kernels in {kernels} by {compiler()[0]} (CC): {why}"
+            f"the FMU cannot be built with the compiled kernels in {kernels} by {compiler()[0]} (CC): {why}; check "
+            "that CC compiles for the machine of these kernels"
         )
     machine = made.stdout.partition("-")[0]
     return machine if machine in PLATFORMS["3.0"] else platform.machine()

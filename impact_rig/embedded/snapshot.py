@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import attrs
@@ -100,8 +101,8 @@ def _check(config: RigConfig) -> None:
         (list(config.instruments.faults.planned), "instruments.faults.planned", ([],)),
     ):
         if found not in allowed:
-            names = " or ".join(map(repr, allowed))
-            raise ConfigError(f"{key} must be {names} for a rig without Python (FMU, browser), got {found!r}")
+            names = " or ".join(map(json.dumps, allowed))
+            raise ConfigError(f"{key} must be {names} for a rig without Python (FMU, browser), got {json.dumps(found)}")
 
 
 def _name_of(pointer: Any) -> str:

@@ -154,10 +154,10 @@ class Chain:
         """
         fitted, present = tuple(instrument.name for instrument in config.instruments.fitted()), self._config
         for key, old, new in (
-            ("the list of instruments that are present", self._names, fitted),
+            ("the list of instruments that are present", ", ".join(self._names), ", ".join(fitted)),
             ("daq.rate_hz", present.daq.rate_hz, config.daq.rate_hz),
             ("daq.seed", present.daq.seed, config.daq.seed),
-            ("instruments.faults.planned", present.instruments.faults.planned, config.instruments.faults.planned),
+            ("instruments.faults.planned", *(list(one.instruments.faults.planned) for one in (present, config))),
         ):
             if old != new:
                 raise ConfigError(f"{key} is fixed at start: it is {old}, got {new}; create a new rig to change it")

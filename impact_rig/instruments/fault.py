@@ -198,7 +198,7 @@ def _check_kind(kind: str, channel: str) -> None:
         raise CommandError(f"fault kind must be one of {', '.join(FAULT_KINDS)}, got {kind!r}")
     if kind in BOARD_KINDS:
         if channel:
-            raise CommandError(f"{kind} is a fault of the whole board and takes no channel, got {channel!r}")
+            raise CommandError(f"{kind} is a fault of the whole board, not of a channel: omit the channel {channel!r}")
         return
     having = [name for name, instrument in INSTRUMENTS.items() if kind in instrument.faults]
     if channel not in having:

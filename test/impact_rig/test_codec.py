@@ -107,7 +107,7 @@ def test_an_inconsistent_message_is_rejected_after_a_valid_one_of_its_length():
     decode(good)
     row_step = len(good) - 1 - scan_table().rows.nbytes - 8
     lie = good[:row_step] + struct.pack("<I", 1) + good[row_step + 4 :]
-    with pytest.raises(CodecError, match="got 1 and"):
+    with pytest.raises(CodecError, match="got 1$"):
         decode(lie)
 
 
@@ -133,12 +133,12 @@ def test_slices_that_are_not_contiguous_are_encoded_as_their_rows():
         (Table(0, np.zeros(1, [("n", "S31")])), "'n' cannot be encoded"),
         (Table(0, np.zeros(1, [("n", "<f8", 3)])), "'n' cannot be encoded"),
         (Table(0, np.zeros(1, [("n\0", "<f8")])), "must not hold a NUL"),
-        (Table(0, np.zeros(1, [("\ud800", "<f8")])), "cannot be written as UTF-8"),
+        (Table(0, np.zeros(1, [("\ud800", "<f8")])), "name of a column must be text that UTF-8 can encode"),
         (Table(0, np.zeros(1, "f8")), "must be a structured array"),
         (Table(0, np.zeros((2, 2), SCAN)), "one-dimensional"),
         (
             Table(LAST_STAMP + 1, np.zeros(1, SCAN)),
-            r"at least -2\*\*31 s and below 2\*\*31 s, got 2147483648000000000 ns",
+            "stamp_ns must be >= -2147483648000000000 and < 2147483648000000000 ns, got 2147483648000000000 ns",
         ),
         (Table(0, np.zeros(1, SCAN), "a\0b"), "frame_id must not hold a NUL"),
     ],
@@ -160,7 +160,7 @@ def test_the_stamp_is_read_without_decoding(stamp):
     [
         (b"", "at least 12 bytes, got 0"),
         (b"\0\1\0\0" + bytes(7), "at least 12 bytes, got 11"),
-        (b"\0\0\0\0" + bytes(8), r"big-endian CDR \(encapsulation 00 00\)"),
+        (b"\0\0\0\0" + bytes(8), r"got 00 00 \(big-endian CDR\)"),
         (b"\0\7\0\0" + bytes(8), "encapsulation must be 00 01 .* got 00 07"),
         (b"\0\1\0\0" + struct.pack("<iI", 0, 10**9), "nanoseconds of the stamp must be < 1000000000"),
     ],
@@ -235,9 +235,9 @@ def test_padding_after_the_message_is_ignored(trailing):
     [
         ({"frame": b"daq"}, "frame_id must end with a NUL byte and contain no other"),
         ({"frame": b"d\0q\0"}, "frame_id must end with a NUL byte and contain no other"),
-        ({"frame": b"\xff\0"}, "frame_id is not UTF-8"),
-        ({"height": 2}, "height must be 1, got 2"),
-        ({"width": 2**32 - 1}, "must both be width [*] point_step = 4294967295 [*] 9"),
+        ({"frame": b"\xff\0"}, "frame_id must be UTF-8"),
+        ({"height": 2}, "height of the PointCloud2 must be 1, got 2"),
+        ({"width": 2**32 - 1}, "row_step must be width [*] point_step = 4294967295 [*] 9"),
         ({"fields": []}, f"a message to decode must have 1 to {MAX_COLUMNS} fields, got 0"),
         ({"field_count": 2**32 - 1}, "a message to decode must have 1 to"),
         ({"fields": [(b"a\0", 0, 8, 1)] * 2}, "unique and not empty, got 'a' twice: the sender of the message must"),
@@ -245,12 +245,12 @@ def test_padding_after_the_message_is_ignored(trailing):
         ({"fields": [(b"a\0", 0, 9, 1)]}, "datatype of field 'a' must be 1 to 8 [(]INT8 to FLOAT64[)], got 9"),
         ({"fields": [(b"a\0", 0, 8, 0)]}, "count of field 'a' must be 1"),
         ({"fields": [(b"a\0", 0, 2, 2**32 - 1)]}, "count of field 'a' must be 1, got 4294967295; only a text"),
-        ({"fields": [(b"a\0", 0, 8, 1), (b"b\0", 7, 2, 1)]}, "'b' at offset 7 overlaps another field"),
+        ({"fields": [(b"a\0", 0, 8, 1), (b"b\0", 7, 2, 1)]}, "'b' at offset 7 overlaps field 'a'"),
         ({"fields": [(b"a\0", 2**32 - 1, 8, 1)]}, "point_step must be >= 4294967303"),
         ({"point_step": 8}, "point_step must be >= 9"),
         ({"point_step": 2**32 - 1, "width": 0, "row_step": 0, "data": b""}, "and < 2[*][*]31"),
-        ({"big_endian": 1}, "big-endian data"),
-        ({"row_step": 17}, "got 17 and 18$"),
+        ({"big_endian": 1}, "data must be little-endian"),
+        ({"row_step": 17}, "row_step must be .*, got 17$"),
         ({"data_length": 2**32 - 1}, "got 18 and 4294967295$"),
         ({"width": MANY, "row_step": 9 * MANY, "data_length": 9 * MANY}, f"data needs {9 * MANY} bytes"),
         ({"trailing": bytes(4)}, "4 bytes follow the end of the message, at most 3 are allowed"),
@@ -457,7 +457,7 @@ def test_a_scan_needs_the_requested_channels_as_numbers():
     assert checked(changed(scan, drop=("accelerometer",)), topics.SCAN, ("laser",)).rows["laser"].shape == (3,)
     with pytest.raises(CodecError, match=r"^column 'laser' is missing$"):
         decode(encode(changed(scan, drop=("laser",))), needs=("laser",))
-    with pytest.raises(CodecError, match=r"daq/scan: column 'laser' must be of type <f8, got \|S32"):
+    with pytest.raises(CodecError, match="daq/scan: column 'laser' must be of type float64, got text"):
         checked(changed(scan, kinds={"laser": TEXT}), topics.SCAN)
 
 

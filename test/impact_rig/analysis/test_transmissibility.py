@@ -307,9 +307,9 @@ def test_gain_uncertainty_follows_the_curve_of_the_sensor(amplitude):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"rate": 0.0}, "rate must be the same for all channels, above 0"),
-        ({"rate": np.nan}, "rate must be the same for all channels, above 0"),
-        ({"rate": [1e4, 1e4, 2e4, 1e4]}, "rate must be the same for all channels, above 0"),
+        ({"rate": 0.0}, "rate must be > 0 and <= "),
+        ({"rate": np.nan}, "rate must be > 0 and <= "),
+        ({"rate": [1e4, 1e4, 2e4, 1e4]}, "rate must be the same for all channels, got "),
         ({"range_low": 1e9}, "range_low must be < range_high"),
         ({"lag_order": 3.0}, "lag_order must be one of 0, 1, 2"),
         ({"name": b"laser"}, "or more of the channels accelerometer, laser, base, current, each once"),

@@ -125,7 +125,7 @@ def test_the_command_prints_the_document_and_compares_it(tmp_path: Path, capsys:
 @pytest.mark.parametrize("text", ["[]", '[["topics", 1]]', "7"])
 def test_a_document_is_a_json_object(text: str, tmp_path: Path):
     (tmp_path / "other.json").write_text(text)
-    with pytest.raises(ConfigError, match="not a document written by"):
+    with pytest.raises(ConfigError, match="is not a document of"):
         read(tmp_path / "other.json")
 
 

@@ -529,7 +529,8 @@ def test_a_port_in_use_is_reported_in_one_line() -> None:
         program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
         command = [*program, "daqmx", "--port", address.rpartition(":")[2]]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.stderr == f"impact-rig daqmx: cannot listen on {address}: Address already in use\n"
+    why = "Address already in use; choose another address or port"
+    assert done.stderr == f"impact-rig daqmx: cannot listen on {address}: {why}\n"
     assert done.returncode == 1
 
 

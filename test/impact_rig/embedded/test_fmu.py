@@ -427,11 +427,11 @@ def test_the_log_names_the_value_and_the_range(
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"drive.waveform": "random"}, "drive.waveform must be 'sine' or 'stream'"),
-        ({"instruments.ideal": True}, "instruments.ideal must be False"),
+        ({"drive.waveform": "random"}, 'drive.waveform must be "sine" or "stream"'),
+        ({"instruments.ideal": True}, "instruments.ideal must be false"),
         (
             {"instruments.faults.planned": ["stuck channel=laser"]},
-            r"planned must be \[\] .* got \['stuck channel=laser'\]",
+            r'planned must be \[\] .* got \["stuck channel=laser"\]',
         ),
     ],
 )

@@ -224,9 +224,9 @@ def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(
     [
         ({"speed_m_s": 0.0}, "speed_m_s must be > 0 and <= 10, got 0.0 m/s"),
         ({"speed_m_s": float("nan")}, "speed_m_s must be > 0 and <= 10, got nan m/s"),
-        ({"speed_m_s": "fast"}, "speed_m_s must be a number, got 'fast' m/s"),
+        ({"speed_m_s": "fast"}, "speed_m_s must be a number in m/s, got 'fast'"),
         ({"count": 2.5}, "count must be an integer, got 2.5"),
-        ({"count": True}, "count must be an integer, got True"),
+        ({"count": True}, "count must be an integer, got true"),
         ({"rate_hz": 20}, "rate_hz is read-only: set it when the node starts (parameter file or -p)"),
         ({"cuont": 4}, "unknown key 'cuont', did you mean 'count'?"),
         ({"speed_m_s": 4.0}, "speed_m_s must be <= count = 3, got 4"),
