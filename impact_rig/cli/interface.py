@@ -154,7 +154,7 @@ def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
     a topic of the rig therefore break if the new value is `less`. Publishers of an input of the rig break if it is
     `more`.
     """
-    return lambda _was, now, row: bool(now == (more if row["taken"] else less))
+    return lambda _was, now, row: bool(now == more if row["taken"] else now in (less, None))
 
 
 def _reaches(sign: float) -> Callable[[Any, Any, Row], bool]:

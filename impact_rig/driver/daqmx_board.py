@@ -272,6 +272,7 @@ class Board:
         self.devices = devices
         self._config = from_flat(config, {"drive.waveform": "stream", "drive.stream_wait": False})
         self._rig = self._fixed = rig
+        self._check: Callable[[], None] | None = None  # of `_check_rig`
         self._epoch = 0.0
         self._ended = False
         self._named = 0
@@ -774,6 +775,8 @@ class Board:
                     for task in self.tasks.values():
                         if task.state is State.RUNNING:
                             self._fail(task, Code.DEV_CANNOT_BE_ACCESSED, str(error))
+                    if self._fixed is None:  # the next start makes a new rig; a failed one could not go on
+                        self._rig = None
                     self.changed.notify_all()
             time.sleep(0.5 / BLOCKS_PER_S)
 
@@ -784,6 +787,7 @@ class Board:
         """
         if rig.runs_by_itself:
             rig.poll()
+            self._check_rig(rig)
             self._after_block(rig)
             return
         behind_s = time.monotonic() - self._epoch - rig.time_s
@@ -792,6 +796,12 @@ class Board:
         for _ in range(int(behind_s * rig.rate_hz / rig.block_scans)):
             rig.step()
             self._after_block(rig)  # after each block, so that a busy machine causes no underrun
+
+    def _check_rig(self, rig: RigDriver) -> None:
+        """Raise a GoneError if the running rig is gone or replaced; later calls check the rig that runs then."""
+        check, self._check = self._check or rig.watch(), None
+        check()
+        self._check = check
 
     def _after_block(self, rig: RigDriver) -> None:
         rig.clear()
@@ -938,8 +948,8 @@ class Board:
         if task.acquisition is not None and task.acquisition.lost:
             raise DaqmxError(
                 Code.SAMPLES_NO_LONGER_AVAILABLE,
-                f"{task.acquisition.lost} samples were overwritten before they were read: read more often or with a "
-                "larger buffer",
+                f"{task.acquisition.lost} samples were lost: overwritten before they were read, or withheld by a "
+                "fault of the rig; read more often or with a larger buffer, or remove the fault",
             )
         if task.samples is not None and wanted > task.samples - task.passed:
             raise DaqmxError(

@@ -265,6 +265,15 @@ class RigDriver(abc.ABC):
         It does not check whether the rig and its nodes still run.
         """
 
+    @property
+    def step_delivers(self) -> bool:
+        """Whether all blocks of a step that are not withheld have arrived when `step` returns."""
+        return True
+
+    def watch(self) -> Callable[[], None]:
+        """Return a function that raises a GoneError once the rig is gone or replaced, which a `LocalRig` never is."""
+        return lambda: None
+
     def connect(self, listener: Callable[[Table], object]) -> None:
         """Call a function with every block of scans from now on, in order, until `disconnect` or `close`.
 

@@ -194,7 +194,7 @@ class AnalogOutput:
         """
         with self._rig.turns:
             if self._playing and self.next_sample is not None:
-                with contextlib.suppress(CommandError):
+                with contextlib.suppress(CommandError, TimeoutError):  # a rig that is gone plays nothing, either
                     self._rig.feed(self.next_sample, np.empty(0))
                 self._rig.fed.set()
             self._playing = False
@@ -356,9 +356,13 @@ class Acquisition:
         self._end = first + len(rows)
         self._kept.append((first, rows))
         while self._end - self.next_scan > self._most and not self._is_waiting:
-            oldest, overwritten = self._kept.popleft()
-            self.lost += min(len(overwritten), oldest + len(overwritten) - self.next_scan)
-            self.next_scan = self._kept[0][0]
+            oldest, rows = self._kept[0]
+            if self.next_scan < oldest:  # lost scans need no room, and are counted already
+                self.next_scan = oldest
+                continue
+            self._kept.popleft()
+            self.lost += oldest + len(rows) - self.next_scan
+            self.next_scan = oldest + len(rows)
 
     def _count_withheld(self) -> None:
         """Count the scans that a fault withholds in `lost`, if the rig advances only in `step`.
@@ -367,7 +371,7 @@ class Acquisition:
         may write them only after its `read` has passed the withheld scans.
         """
         taken = self._rig.sample
-        if self._started and not self._rig.runs_by_itself and self.next_scan is not None and taken > self._end:
+        if self._started and self._rig.step_delivers and self.next_scan is not None and taken > self._end:
             self.lost += taken - self._end
             self._end = taken
 

@@ -274,8 +274,8 @@ class RosRig(RigDriver):
         self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         if self.runs_by_itself:
             first = self.client.wait_until(self._collectors[SCANS].last, "a block of scans", STEP_TIMEOUT_S)
-            self.sample = self._kept_from = self.first_scan(first)
-            self.sample = self._received_to()  # the newest block is kept, and is not one that `step` waits for
+            self._kept_from = self.first_scan(first)
+            self.sample = self._kept_from + len(first.rows)  # the newest block is not one that `step` waits for
             return
         reported_ns = self.client.reported_ns
         reported_ns.pop("rig", None)  # may be older than the last step of another client
@@ -554,6 +554,22 @@ class RosRig(RigDriver):
     def poll(self) -> None:
         """Process the messages that have arrived, without waiting or checking whether the nodes still run."""
         self.client.spin_pending()
+
+    @property
+    def step_delivers(self) -> bool:
+        """Whether all blocks of a step that are not withheld have arrived when `step` returns.
+
+        The rig must advance only in `step`, and wait for the acknowledgements of this program.
+        """
+        return not self.runs_by_itself and self.client.name in self._peers
+
+    def watch(self) -> Callable[[], None]:
+        """Return a function that raises a GoneError once the rig that runs now is gone or replaced.
+
+        Raises:
+            GoneError: the rig is gone already.
+        """
+        return self.client.given("use of the running rig")
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send samples of the stream that drives the rig (`drive.waveform: stream`), on `shaker/waveform`.

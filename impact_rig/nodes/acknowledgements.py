@@ -119,8 +119,8 @@ class AckWindow:
                 del self._readers[name]
         if self.waived() == self.peers:  # without a peer to wait for, the rig would run on without limit
             for name in self.peers:
-                reader = self._readers[name]
-                reader.forgiven, reader.heard_ns, reader.waived = self._published, self._clock(), False
+                self._readers[name].waived = False
+            self.forgive(self.peers)
 
     def watch(self, name: str) -> None:
         """Accept acknowledgements of one more reader, to observe how far it is behind; the rig does not wait for it.

@@ -193,9 +193,7 @@ def places(names: tuple[str, ...]) -> NDArray[np.int64]:
     if unknown := [name for name in names if name not in QUANTITIES]:
         raise ValueError(f"{unknown[0]!r} is no quantity of a motion; known: {', '.join(QUANTITIES)}")
     if len(names) > len(QUANTITIES):
-        raise ValueError(
-            f"each quantity must be requested only once, got {len(names)} names for {len(QUANTITIES)} quantities"
-        )
+        raise ValueError(f"at most {len(QUANTITIES)} names are allowed, got {len(names)}, so some are repeated")
     return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 

@@ -111,8 +111,8 @@ class Account:
         if sequence <= 0:
             known.unnumbered += 1
             return ""
-        for place, stream in enumerate(known.streams):
-            if stream.newest + 1 == sequence:
+        for place in range(len(known.streams) - 1, -1, -1):  # the last active one first
+            if known.streams[place].newest + 1 == sequence:
                 return known.take(place, sequence)
         return self._take_unexpected(topic, known, sequence)
 

@@ -47,7 +47,7 @@ from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import ConfigError
 from impact_rig_studies.excitation.response import Response, complete
-from impact_rig_studies.excitation.signals import PSEUDO, Excitation
+from impact_rig_studies.excitation.signals import PSEUDO, SHORTEST, Excitation
 
 LEAST_GAIN = 0.2  # gain below which a correction is given up
 
@@ -162,13 +162,19 @@ def replicate(
     Raises:
         CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
             exceeds `abort` of `hardware`. After an error, call `hardware.output.stop()`.
-        ConfigError: `low_hz` and `high_hz` of the plan leave no band below half of the rate.
+        ConfigError: `low_hz` and `high_hz` of the plan leave no band below half of the rate, or `identify_s` is too
+            short for the rate.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
     lead = round(plan.rest_s * rate_hz)
     played = len(asked) + 2 * lead
+    if round(plan.identify_s * rate_hz) < SHORTEST:
+        raise ConfigError(
+            f"identify_s must be at least {SHORTEST / rate_hz:g} s, {SHORTEST} samples at {rate_hz} Hz, got "
+            f"{plan.identify_s:g}"
+        )
     length = played + round(plan.identify_s * rate_hz)
     target = np.zeros(length)
     history = slice(lead, lead + len(asked))

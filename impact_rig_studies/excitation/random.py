@@ -29,8 +29,9 @@ import scipy
 
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Exchange, Hardware
-from impact_rig.errors import CommandError
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig_studies.excitation.response import Response, complete
+from impact_rig_studies.excitation.signals import SHORTEST
 
 MOST_STEP_DB = 6.0  # largest change of the drive's density at a line in one loop
 # lower limit of the drive's density at a line relative to the largest, so that no line is lost for good
@@ -174,15 +175,26 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         `hardware.output.stop()`.
 
     Raises:
+        ConfigError: a frame is too short for the rate, or for the requested spectrum.
         CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, a reading exceeds
             `abort` of `hardware`, or the response exceeds the request by more than `abort_db`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
     length = 2 * round(plan.frame_s * rate_hz / 2)
+    if length < SHORTEST:
+        raise ConfigError(
+            f"a frame must have at least {SHORTEST} samples at {rate_hz} Hz, got {length}: raise frame_s, now "
+            f"{plan.frame_s:g} s"
+        )
     lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     asked = plan.spectrum.at(lines)
     band = asked > 0.0
+    if not band.any():
+        raise ConfigError(
+            f"frame_s must be longer: with {plan.frame_s:g} s the frequency lines are {lines[1]:g} Hz apart, and none "
+            "is within the requested spectrum"
+        )
     calibration = Calibration.from_info(hardware.info())
     scale = np.where(band, plan.response.weight(calibration, np.maximum(lines, lines[1])), 0.0)
     noise = plan.response.noise(calibration, lines[band])

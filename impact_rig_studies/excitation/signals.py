@@ -76,9 +76,12 @@ class Excitation:
             )
         on = round(self.burst * length) if self.kind == BURST else length
         if on < SHORTEST:
+            what, more = (
+                ("the burst of a frame", f", or burst, now {self.burst:g}") if self.kind == BURST else ("a frame", "")
+            )
             raise ConfigError(
-                f"{'the burst of a frame' if self.kind == BURST else 'a frame'} must have at least {SHORTEST} samples "
-                f"at {rate_hz} Hz, got {on}: raise frame_s, now {self.frame_s:g} s, or burst, now {self.burst:g}"
+                f"{what} must have at least {SHORTEST} samples at {rate_hz} Hz, got {on}: raise frame_s, now "
+                f"{self.frame_s:g} s{more}"
             )
         if self.kind == BURST:
             sections = scipy.signal.butter(4, (self.low_hz, self.high_hz), "bandpass", fs=rate_hz, output="sos")

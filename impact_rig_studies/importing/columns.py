@@ -110,6 +110,7 @@ def signals_of(
     texts: dict[str, list[str]] = {}
     numeric: dict[str, Column] = {}
     clocks: list[tuple[str, cells.Times]] = []
+    missing: list[str] = []  # columns of dates or stamps of which some are missing
     stamps: NDArray[np.int64] | None = None
     dates: tuple[str, NDArray[np.int64]] | None = None
     for name, column in columns.items():
@@ -127,7 +128,9 @@ def signals_of(
             omitted[name] = "texts"
         elif values.dtype.kind in "Mm" and values.ndim == 1:
             ns = values.astype("datetime64[ns]" if values.dtype.kind == "M" else "timedelta64[ns]").astype(np.int64)
-            if values.dtype.kind == "M" and dates is None:
+            if np.isnat(values).any():
+                missing.append(name)
+            elif values.dtype.kind == "M" and dates is None:
                 dates = name, ns
             else:
                 numeric[f"{name} [s]"] = ns / NS_PER_S
@@ -143,18 +146,21 @@ def signals_of(
                 omitted[name] = f"no valid rate or period: {one:g}"
         elif name == headings.STAMP and values.ndim == 1:
             if values.dtype.kind == "f" and not np.isfinite(values).all():
-                omitted[name] = "stamps are missing in some rows"
+                missing.append(name)
             else:
                 stamps = values.astype(np.int64)
         else:
             numeric[name] = values
     axis = _axis(numeric, column_units, clocks, stamps, dates, omitted)
+    omitted |= dict.fromkeys(missing, "times are missing in some rows")
     if axis.kind is AbscissaKind.NONE:
         strange = next((name for name in texts if headings.is_time_name(headings.split_unit(name)[0])), None)
         if strange is not None:
             axis.note = (
                 f"the times of column {strange!r} are not understood: {texts[strange][0][: cells.LONGEST_CELL]!r}"
             )
+    if missing:
+        axis.note = "; ".join(filter(None, (axis.note, f"times are missing in some rows of column {missing[0]!r}")))
     if axis.kind is AbscissaKind.NONE and rate_note:
         axis.note = "; ".join(filter(None, (axis.note, rate_note)))
     abscissa, kind = _abscissa(axis, rate_hz)

@@ -487,7 +487,8 @@ class LockedSine:
             return None
         if self._since_ns is not None:
             return self.abort(
-                f"another client set {frequency_hz:g} Hz and {current_a:g} A; only one client may command the drive"
+                f"another client set {frequency_hz:g} Hz and the amplitude {current_a:g}; only one client may command "
+                "the drive"
             )
         return None  # frequency and current are applied one after the other
 
@@ -531,8 +532,8 @@ class LockedSine:
             return None
         if self._since_ns is None:
             return self.abort(
-                f"the rig did not accept {self._wanted.frequency_hz:g} Hz and {self._wanted.current_a:g} A within "
-                f"{self._limit_s:g} s of rig time (accept_limit_s)"
+                f"the rig did not accept {self._wanted.frequency_hz:g} Hz and the amplitude {self._wanted.current_a:g} "
+                f"within {self._limit_s:g} s of rig time (accept_limit_s)"
             )
         return self.abort(
             f"no scans received for {self._limit_s:g} s of rig time (accept_limit_s); check that daq/scan is published"

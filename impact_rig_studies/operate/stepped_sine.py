@@ -180,7 +180,8 @@ class SteppedSine:
             return None
         if self._accepted:
             return self._abort(
-                f"another client set {frequency_hz:g} Hz and {current_a:g} A; only one client may command the drive"
+                f"another client set {frequency_hz:g} Hz and the amplitude {current_a:g}; only one client may command "
+                "the drive"
             )
         return None  # frequency and current are applied one after the other
 
@@ -240,7 +241,7 @@ class SteppedSine:
         waited = (now_ns - self._since_ns) / NS_PER_S
         if not self._accepted and waited > self._plan.accept_limit_s:
             return self._abort(
-                f"the rig did not accept {self.frequency_hz:g} Hz and {self.current_a:g} A within "
+                f"the rig did not accept {self.frequency_hz:g} Hz and the amplitude {self.current_a:g} within "
                 f"{self._plan.accept_limit_s:g} s of rig time (accept_limit_s)"
             )
         if waited > self._plan.dwell_limit_s:

@@ -107,7 +107,7 @@ def test_an_inconsistent_message_is_rejected_after_a_valid_one_of_its_length():
     decode(good)
     row_step = len(good) - 1 - scan_table().rows.nbytes - 8
     lie = good[:row_step] + struct.pack("<I", 1) + good[row_step + 4 :]
-    with pytest.raises(CodecError, match="got 1$"):
+    with pytest.raises(CodecError, match=r"got 1$"):
         decode(lie)
 
 

@@ -178,6 +178,7 @@ def test_a_sweep_has_a_default_amplitude_only_for_a_current(
     ("action", "values"),
     [
         ("load", {"value": "barriers: {gap_m: 0.006}"}),
+        ("sweep", {"frequencies": (9.0,), "direction": "up", "hold": "command", "target": 0.0}),
         ("fault", {"kind": "stuck", "channel": "laser", "value": 0.0, "duration": 0.0, "rate": 0.0}),
     ],
 )

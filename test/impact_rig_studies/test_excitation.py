@@ -163,6 +163,21 @@ def test_a_test_that_lost_scans_ends_with_that_reason(test):
         list(work[test]())
 
 
+@pytest.mark.parametrize(
+    ("work", "says"),
+    [
+        (lambda rig: control(rig, RandomPlan(frame_s=1e-4)), "a frame must have at least 4 samples at 2000 Hz, got 0"),
+        (lambda rig: control(rig, RandomPlan(frame_s=0.004)), "frame_s must be longer: with 0.004 s .* 250 Hz apart"),
+        (lambda rig: replicate(rig, np.ones(9), ReplicatePlan(identify_s=1e-5), print), "identify_s must be at least"),
+    ],
+)
+def test_settings_too_short_for_the_rate_are_rejected_before_anything_is_played(work, says):
+    rig = hardware(sphere__present=False)
+    with pytest.raises(ConfigError, match=says):
+        list(work(rig))
+    assert rig.rig.sample == 0
+
+
 def test_the_shock_response_spectrum_of_a_half_sine_is_the_closed_form():
     rate_hz, duration_s = 200_000, 11e-3
     pulse = np.sin(np.pi * np.arange(round(duration_s * rate_hz) + 1) / (duration_s * rate_hz))

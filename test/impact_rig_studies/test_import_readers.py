@@ -463,8 +463,16 @@ def test_stamps_with_a_missing_one_are_left_out_with_the_reason() -> None:
     stamps = 1.7e18 + 1e9 * TIME_S
     stamps[3] = np.nan
     found = signals_of(PATH, "own", {"stamp_ns": stamps, "base": BASE, "laser": LASER})
-    assert found.left_out["stamp_ns"] == "stamps are missing in some rows"
+    assert found.left_out["stamp_ns"] == "times are missing in some rows"
     assert {one.abscissa.kind for one in found.signals.values()} == {AbscissaKind.NONE}
+
+
+def test_dates_with_a_missing_one_are_left_out_with_the_reason() -> None:
+    dates = np.datetime64("2026-11-02T00:00:00", "ns") + (1e9 * TIME_S).astype("timedelta64[ns]")
+    dates[3] = np.datetime64("NaT")
+    found = signals_of(PATH, "own", {"date": dates, "base": BASE, "laser": LASER})
+    assert found.left_out["date"] == "times are missing in some rows"
+    assert "times are missing in some rows of column 'date'" in found.signals["base"].abscissa.note
 
 
 def test_columns_whose_long_headings_begin_alike_are_all_imported() -> None:

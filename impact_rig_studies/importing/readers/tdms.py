@@ -144,7 +144,7 @@ def _listed_times(group: object) -> tuple[str, Real] | None:
     for channel in group.channels():  # type: ignore[attr-defined]  # as above
         name, unit = headings.split_unit(channel.name)
         values = np.asarray(channel[:])
-        if values.dtype.kind == "M" and len(values) > 1:
+        if values.dtype.kind == "M" and len(values) > 1 and not np.isnat(values).any():
             ns = values.astype("datetime64[ns]").astype(np.int64)
             return channel.name, (ns - ns[0]) / NS_PER_S
         unit = unit or next((str(channel.properties[key]) for key in UNIT_KEYS if channel.properties.get(key)), "")

@@ -59,6 +59,7 @@ BREAKS = [
     (topic("daq/info", durability="volatile"), "topic daq/info: durability was"),
     (topic("daq/scan", reliability="best effort"), "topic daq/scan: reliability was"),
     (topic("rig/journal", depth=10), "topic rig/journal: depth was 5000, is 10"),
+    (without("topics", "daq/scan", "reliability"), "topic daq/scan: reliability was"),
     (without("topics", "rig/journal", "depth"), "topic rig/journal: depth was 5000, is not stated"),
     (topic("shaker/current", durability="transient local"), "topic shaker/current: durability was"),
     (topic("notes", publisher="rig"), "topic notes: publisher was"),

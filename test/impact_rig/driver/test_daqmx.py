@@ -626,3 +626,43 @@ def test_an_error_of_the_rig_ends_a_read_with_its_reason(monkeypatch: pytest.Mon
         for _ in range(2):
             with pytest.raises(DaqmxError, match="the motion makes no progress"):
                 board.read(task, rig.rate_hz, rig.rate_hz, 30.0, lambda: True)
+
+
+def test_the_start_after_an_error_of_the_rig_makes_a_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rig that failed within a block cannot go on: its drive and its scans would no longer belong together."""
+    board = Board(from_flat(RigConfig(), IDEAL))
+    with contextlib.closing(board), board.changed:
+        task = board.create("input")
+        board.add_channels(task, "ai", "Dev1/ai1", "", (-10.0, 10.0), 1.0, "Volts")
+        board.configure_clock(task, RATE_HZ, RATE_HZ, finite=True)
+        with monkeypatch.context() as broken:
+            broken.setattr(LocalRig, "step", _no_progress)
+            with pytest.raises(DaqmxError, match="the motion makes no progress"):
+                board.read(task, RATE_HZ, RATE_HZ, 30.0, lambda: True)
+        board.stop(task)
+        assert board.read(task, RATE_HZ, RATE_HZ, 30.0, lambda: True).shape == (1, RATE_HZ)
+
+
+@pytest.mark.ros
+def test_a_running_rig_that_ends_is_reported_to_its_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client import Client, Processes, isolated_domain
+    from impact_rig.driver import RosRig
+
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs", "/rig") as processes:
+        values = {"time.mode": "realtime", "drive.waveform": "stream", "drive.stream_wait": False}
+        processes.start("rig", {**IDEAL, **values})
+        with Client(domain_id, "/rig", processes, "operator") as operator:
+            operator.wait_active("rig")
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+        rig = RosRig(namespace="/rig")
+        board = Board(RigConfig(), rig)
+        with contextlib.closing(board), board.changed:
+            tasks = [board.create("input"), add_output(board, rig.rate_hz, 100)]
+            board.add_channels(tasks[0], "ai", "Dev1/ai1", "", (-10.0, 10.0), 1.0, "Volts")
+            board.configure_clock(tasks[0], rig.rate_hz, 100 * rig.rate_hz, finite=True)
+            assert board.read(tasks[0], 100, 100, 30.0, lambda: True).shape == (1, 100)
+            processes.stop("rig")
+            for _ in range(2):
+                with pytest.raises(DaqmxError, match="the rig is gone"):
+                    board.read(tasks[0], 50 * rig.rate_hz, 50 * rig.rate_hz, 60.0, lambda: True)

@@ -370,6 +370,21 @@ def test_a_program_that_plays_by_what_it_reads_is_not_held_up_by_withheld_scans(
     assert hardware.acquisition.lost == BLOCK
 
 
+@pytest.mark.parametrize("withheld", [1, 5])
+def test_withheld_scans_need_no_room_in_the_buffer(withheld: int) -> None:
+    """A gap longer than the buffer, after everything was read, must not drop the block behind it."""
+    rig = LocalRig(LINEAR, [Fault(kind="lost_block", start_sample=2 * BLOCK, samples=withheld * BLOCK)])
+    acquisition = Acquisition(rig, buffer_s=BLOCK / RATE_HZ)
+    acquisition.start(0)
+    rig.step(1)
+    assert len(acquisition.read(BLOCK)) == BLOCK
+    rig.step(1)
+    assert len(acquisition.read(BLOCK)) == BLOCK
+    rig.step(withheld + 1)
+    assert (acquisition.next_scan, acquisition.lost) == ((2 + withheld) * BLOCK, withheld * BLOCK)
+    assert len(acquisition.read(BLOCK)) == BLOCK
+
+
 def test_new_rates_of_a_stream_count_from_the_next_reset() -> None:
     rig = LocalRig({**STREAM, "drive.stream_wait": False})
     rig.configure({"drive.stream_rate_hz": 4000})
