@@ -424,7 +424,8 @@ class Service:
             found = self._task_properties(self._task(request))
         kind = PROPERTY_TYPES.get(name.partition("Attribute")[2])
         if kind is None or not isinstance(found.get(attribute), kind):
-            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} is not supported by this board: omit it")
+            known = _name(request, "attribute", attribute)
+            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {known} is not supported by this board: omit it")
         return found[attribute]
 
     def _system_properties(self) -> dict[int, Any]:
@@ -508,9 +509,10 @@ class Service:
         buffers = {pb.BUFFER_ATTRIBUTE_INPUT_BUF_SIZE: "ai", pb.BUFFER_ATTRIBUTE_OUTPUT_BUF_SIZE: "ao"}
         kind = (buffers | lows | highs).get(attribute, task.kind)
         if task.kind not in {"", kind}:
+            name = _name(request, "attribute", attribute)
             raise DaqmxError(
                 Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT,
-                f"property {attribute} needs a task with {'inputs' if kind == 'ai' else 'an output'}",
+                f"property {name} needs a task with {'inputs' if kind == 'ai' else 'an output'}",
             )
         if attribute == pb.WRITE_ATTRIBUTE_REGEN_MODE:
             task.must_be_idle()
@@ -527,7 +529,8 @@ class Service:
         elif attribute in highs:
             self.board.configure_range(task, request.channel, high=value)
         else:
-            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} cannot be set on this board: omit it")
+            known = _name(request, "attribute", attribute)
+            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {known} cannot be set on this board: omit it")
 
     @_served
     def GetErrorString(self, request: Any, context: Any) -> dict[str, Any]:
@@ -560,7 +563,8 @@ class Service:
     def _must_be(request: Any, field: str, allowed: set[int]) -> int:
         value = _value(request, field)
         if value not in allowed:
-            known = ", ".join(map(str, sorted(allowed)))
+            known = ", ".join(_name(request, field, number) for number in sorted(allowed))
+            value = _name(request, field, value)
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{field} must be one of {known} on this board, got {value}")
         return int(value)
 
@@ -571,6 +575,13 @@ def _value(request: Any, field: str) -> Any:
     if raw in request.DESCRIPTOR.fields_by_name and not request.HasField(field):
         return getattr(request, raw)
     return getattr(request, field)
+
+
+def _name(request: Any, field: str, number: int) -> str:
+    """Return name and number of an enumerator of NI's interface, for an error message; the number alone if unnamed."""
+    names = request.DESCRIPTOR.fields_by_name[field].enum_type  # None for a plain number
+    found = names.values_by_number.get(number) if names else None
+    return f"{found.name} ({number})" if found else str(number)
 
 
 def _properties(servicer: type) -> dict[str, Callable[..., Any]]:

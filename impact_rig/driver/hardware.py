@@ -535,7 +535,9 @@ def _advance(rig: RigDriver, deadline: float, what: str) -> None:
             if stopped := rig.stopped:
                 raise CommandError(stopped) from error
             if time.monotonic() >= deadline:
-                raise TimeoutError(f"timeout: waiting for {what}{_drive_stream(rig)}") from error
+                raise TimeoutError(
+                    f"timeout: waiting for {what}{_drive_stream(rig)}; check that the rig advances"
+                ) from error
             if rig.runs_by_itself:
                 rig.fed.set()
         else:

@@ -716,7 +716,8 @@ class RosRig(RigDriver):
             transitions.append(("analysis", "activate"))
         for node, transition in transitions:
             if not client.change_state(node, transition):
-                raise ImpactRigError(f"{node} did not {transition}: {client.status(node).message}")
+                why = client.status(node).message or "no reason was reported, see the log of this node"
+                raise ImpactRigError(f"{node} did not {transition}: {why}")
         client.wait_active(*(node for node, transition in transitions if transition == "activate"))
         if record is not None:
             run = Path(record)

@@ -122,7 +122,7 @@ def test_a_file_is_no_directory_for_a_run(tmp_path: Path, capsys: pytest.Capture
     ("words", "says"),
     [
         (("--current", "30"), "current must be >= 0 and <= 21.21 A peak"),
-        (("--config", "stream.yaml"), "drive.waveform sine"),
+        (("--config", "stream.yaml"), "drive.waveform must be sine"),
         (("--namespace", "/rig"), "--namespace selects a running rig"),
         (("--through", "running", "--gap", "6mm"), "--gap applies only to a rig"),
         (("--through", "running", "--seed", "2"), "--seed applies only to a rig"),

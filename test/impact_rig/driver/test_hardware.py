@@ -410,5 +410,5 @@ class Standing(LocalRig):
 
 
 def test_a_rig_without_a_stream_that_stands_still_is_reported_as_a_timeout() -> None:
-    with pytest.raises(TimeoutError, match=r"^timeout: waiting for 1 scans$"):
+    with pytest.raises(TimeoutError, match=r"^timeout: waiting for 1 scans; check that the rig advances$"):
         Acquisition(Standing(LINEAR)).read(1, timeout_s=0.0)
