@@ -153,11 +153,12 @@ class Chain:
                 only in a new chain; or the converter is too slow for the scan rate. Nothing is changed.
         """
         fitted, present = tuple(instrument.name for instrument in config.instruments.fitted()), self._config
+        planned = list(config.instruments.faults.planned)
         for key, old, new in (
             ("the list of instruments that are present", ", ".join(self._names), ", ".join(fitted)),
             ("daq.rate_hz", present.daq.rate_hz, config.daq.rate_hz),
             ("daq.seed", present.daq.seed, config.daq.seed),
-            ("instruments.faults.planned", *(list(one.instruments.faults.planned) for one in (present, config))),
+            ("instruments.faults.planned", list(present.instruments.faults.planned), planned),
         ):
             if old != new:
                 raise ConfigError(f"{key} is fixed at start: it is {old}, got {new}; create a new rig to change it")

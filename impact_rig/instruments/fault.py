@@ -105,7 +105,7 @@ class Fault:
         if self.kind == "clock_drift" and abs(self.value) > LARGEST_DRIFT_PPM:
             raise CommandError(
                 f"value of the fault clock_drift, by which the clock is slow, must be within ± {LARGEST_DRIFT_PPM:g} "
-                f"ppm, got {self.value!r}"
+                f"ppm, got {self.value!r} ppm"
             )
 
     def line(self, scan_rate_hz: int) -> str:
