@@ -173,7 +173,9 @@ def compare(
     if not calibration.present[channel]:
         other = "base" if chosen == "current" else "current"
         hint = (
-            f"; use --drive {other}" if calibration.present[DRIVES[other][1]] else f"; {other} was not measured either"
+            f"; use --drive {other}"
+            if calibration.present[DRIVES[other][1]]
+            else f"; {other} was not measured either: choose another run"
         )
         raise ConfigError(f"{run.path}: {chosen} was not measured, so it cannot drive the model{hint}")
     if known is None:

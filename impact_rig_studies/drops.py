@@ -15,6 +15,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from impact_rig.errors import RecordingError
@@ -44,9 +46,13 @@ def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
         )
     found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
     if found.status is not Status.OK:
+        rule = "every height must be finite and > 0 m"
+        wrong = next((one for one in drops if not (0.0 < one.h0_m < math.inf and 0.0 < one.h1_m < math.inf)), None)
+        if wrong is None:
+            rule = "no rebound may be higher than its drop by over three standard uncertainties of their difference"
+            wrong = max(drops, key=lambda one: one.h1_m - one.h0_m)
         raise RecordingError(
-            f"{run.path}: the drops noted in it ({len(drops)}) give no coefficient of restitution "
-            f"({found.status.value}): every height must be finite and > 0, and no rebound higher than its drop by over "
-            "three standard uncertainties of their difference; record the drops again"
+            f"{run.path}: the drops noted in it ({len(drops)}) give no coefficient of restitution: {rule}, got "
+            f"{wrong.text()!r}; record the drops again"
         )
     return drops, found

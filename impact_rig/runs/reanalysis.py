@@ -175,7 +175,8 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
         earlier.add(started_of(table))
     if invalid and not found:
         raise RecordingError(
-            f"{run.path}: no settings of its live analysis are valid, so choose another run; the first: {invalid[0]}"
+            f"{run.path}: no settings of its live analysis are valid, so choose another run; the first error: "
+            f"{invalid[0]}"
         ) from invalid[0]
     return found
 
@@ -360,7 +361,10 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
         return Agreement(None, reason="this run was imported; it has no live analysis")
     version = arithmetic_of(run.provenance)
     if version not in ("", str(ARITHMETIC)):
-        reason = f"the live results were made with arithmetic version {version}, this program has {ARITHMETIC}"
+        reason = (
+            f"the live results were made with arithmetic version {version}, this program has {ARITHMETIC}: analyze the "
+            "run with the version of impact_rig that recorded it"
+        )
         return Agreement(None, reason=reason)
     settings = _live_settings(run)
     if any(one.in_turn for one in settings):

@@ -85,8 +85,8 @@ def entries(message: Message) -> list[JournalEntry]:
         return list(_of_table(codec.decode(message.data, TOPIC)))
     except CodecError as error:
         raise ConfigError(
-            "the journal of inputs (`rig/journal`) is a table of an earlier version, and was damaged or changed: "
-            f"{error}"
+            "the journal of inputs (`rig/journal`) is a table of an earlier version, and was damaged or changed "
+            f"({error}): use an unchanged copy of the run"
         ) from error
 
 
@@ -152,6 +152,7 @@ def _fault(key: str, value: float, text: str, sample: int) -> Fault:
         )
     except (ValueError, struct.error, CommandError) as error:
         raise ConfigError(
-            "the journal of inputs (`rig/journal`) is a table of an earlier version, and was damaged or changed: its "
-            f"row with key {key!r} and text {text!r} describes no valid instrument fault"
+            "the journal of inputs (`rig/journal`) is a table of an earlier version, and was damaged or changed (its "
+            f"row with key {key!r} and text {text!r} describes no valid instrument fault): use an unchanged copy of "
+            "the run"
         ) from error

@@ -166,7 +166,7 @@ class DamagedFile:
         elif opcode in _CHECKS:
             _CHECKS[opcode](self.content(found))
         else:
-            raise DamageError(f"no record of MCAP that holds data begins with the byte {opcode}")
+            raise DamageError(f"the type of this record is {opcode}, which no MCAP record with data has")
         return found
 
     def _next_record(self, start: int) -> int:
@@ -202,14 +202,16 @@ class DamagedFile:
 def _check_chunk_head(head: bytes, length: int) -> None:
     fixed = _CHUNK_FIXED.size
     if length < fixed + 8 or len(head) < RECORD_HEAD.size + fixed + 8:
-        raise DamageError("a chunk is too short")
+        raise DamageError(f"a chunk of {length} bytes is too short: it needs at least {fixed + 8}")
     _, _, _, _, name_length = _CHUNK_FIXED.unpack_from(head, RECORD_HEAD.size)
     at = RECORD_HEAD.size + fixed + name_length
     if name_length > _LONGEST_NAME or at + 8 > len(head):
-        raise DamageError("the name of a chunk's compression is too long")
+        most = min(_LONGEST_NAME, len(head) - RECORD_HEAD.size - fixed - 8)
+        raise DamageError(f"the name of a chunk's compression must have at most {most} bytes, got {name_length}")
     data_length = int.from_bytes(head[at : at + 8], "little")
     if data_length + fixed + name_length + 8 != length:
-        raise DamageError("the lengths of a chunk contradict each other")
+        room = length - fixed - name_length - 8
+        raise DamageError(f"a chunk states {data_length} bytes of messages, but its record has {room} bytes for them")
 
 
 def _check_message(content: memoryview) -> None:
@@ -432,7 +434,7 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
         counts = int(record["damages"]), int(record["lost_bytes"])
         return Recovered(record["source"], *counts, missing, record["unfinished"] == "1")
     except (KeyError, ValueError) as error:
-        why = f"it has no entry {error}" if isinstance(error, KeyError) else error
+        why = f"it has no entry {error}" if isinstance(error, KeyError) else f"an entry is not a whole number ({error})"
         raise DamageError(
             f"the metadata record {RECORD_NAME!r}, the losses of the recovery that wrote this run, is invalid: {why}; "
             "impact-rig recover writes the same messages to a new run, which does not state these losses"
@@ -783,7 +785,8 @@ class _Salvage:
             else:
                 yield topic, message
         if unknown:
-            self._report.note(self._damage(found, f"{unknown} messages of topics whose definition is lost", length=0))
+            reason = f"{unknown} messages are left out, because the definitions of their topics are lost"
+            self._report.note(self._damage(found, reason, length=0))
 
     def _read_summary(self, file: DamagedFile) -> None:
         try:
@@ -866,7 +869,8 @@ class _Salvage:
             topic = TopicDescription.from_channel(channel, mcap_records.Schema(1, data, kind, record["type_name"]))
             self._know(channel_id, self._topics.get(channel_id, topic))
         except (KeyError, ValueError, BudgetError) as error:
-            self._report.note(self._damage(found, f"cannot use the definition of a topic: {error}"))
+            why = f"no entry {error}" if isinstance(error, KeyError) else error
+            self._report.note(self._damage(found, f"cannot use the definition of a topic: {why}"))
 
     def _damage(self, found: Found, reason: str, *, length: int | None = None) -> Damage:
         return Damage(self.path.name, found.offset, found.length if length is None else length, reason)

@@ -106,7 +106,10 @@ def _check_data_section(source: McapSource) -> bool:
     try:
         crc = records.parse(mcap_records.DataEnd, source.record_at(end, records.DATA_END)).data_section_crc
     except DamageError as error:
-        raise DamageError(f"{source.path}: the end of its data section (byte {end}) is damaged: {error}") from error
+        raise DamageError(
+            f"{source.path}: the end of its data section (byte {end}) is damaged: {error}; impact-rig recover saves "
+            "the intact chunks"
+        ) from error
     if crc == 0:
         return False
     found, position = 0, 0

@@ -158,7 +158,7 @@ def load_yaml(text: str, limit: int) -> object:
             deeper than 100 levels.
     """
     if len(text) > limit:
-        raise PlainYamlError(f"it has more than {limit} characters")
+        raise PlainYamlError(f"it must have at most {limit} characters, got {len(text)}")
     try:
         loader = _Loader(text)
         try:
@@ -184,9 +184,11 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
             PlainYamlError: the node is an alias, has a key twice, or is nested too deep.
         """
         if self.check_event(yaml.AliasEvent):
-            raise PlainYamlError("an alias (*name) is not accepted; repeat the value")
+            line = self.peek_event().start_mark.line + 1
+            raise PlainYamlError(f"an alias (*name), as in line {line}, is not accepted; repeat the value")
         if self._depth >= MAX_DEPTH and self.check_event(yaml.SequenceStartEvent, yaml.MappingStartEvent):
-            raise PlainYamlError(f"it is nested deeper than {MAX_DEPTH} levels")
+            line = self.peek_event().start_mark.line + 1
+            raise PlainYamlError(f"it is nested deeper than {MAX_DEPTH} levels in line {line}")
         self._depth += 1
         node = Composer.compose_node(self, parent, index)
         self._depth -= 1

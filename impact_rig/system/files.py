@@ -235,7 +235,8 @@ def staged(directory: Path) -> Iterator[Path]:
         with defer_signals():
             for path, target in moves:
                 if target.is_symlink() or target.is_file():  # a directory with content is refused by the system
-                    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+                    why = f"{target.name} exists already and is not overwritten; choose another directory"
+                    raise FileExistsError(errno.EEXIST, why, str(target))
                 path.rename(target)
     finally:
         with defer_signals():
@@ -298,7 +299,8 @@ def make_folder(path: Path) -> None:
     if not path.is_symlink():
         path.mkdir(parents=True, exist_ok=True)
     if path.is_symlink():
-        raise OSError(errno.ELOOP, "it is a link; links are not followed for writing", str(path))
+        why = "it is a link; links are not followed for writing: use a directory instead"
+        raise OSError(errno.ELOOP, why, str(path))
 
 
 def state_dir(name: str) -> Path:

@@ -151,7 +151,7 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
             )
         names = other.rows.dtype.names or ()
         if one.rows.dtype.names != names:
-            return f"columns {one.rows.dtype.names}, golden {names}"
+            return f"columns {', '.join(one.rows.dtype.names or ())}, golden {', '.join(names)}"
         unknown = set(tolerances) - set(names)
         if unknown:
             raise ConfigError(

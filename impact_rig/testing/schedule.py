@@ -475,7 +475,7 @@ class LocalRigWithNodes(LocalRig):
             self._run(ready)
         raise AssertionError(
             f"more than {MOST_CALLBACKS} callbacks ran at one instant of rig time: hosted nodes answer each other "
-            "without end"
+            f"without end, at last {self.callbacks[-1]!r}; end this exchange of messages"
         )
 
     def _ready(self) -> Iterator[_Ready]:
@@ -630,7 +630,7 @@ def _returning(message: str) -> Iterator[None]:
                 "not wait in a callback, process the result in the callback that receives it"
             )
         if time.monotonic() - begin > BUSY_S:
-            raise BlockedError(f"{message} has not returned within {BUSY_S:g} s of wall time")
+            raise BlockedError(f"{message} has not returned within {BUSY_S:g} s of wall time; let it compute less")
 
     handler = signal.signal(signal.SIGALRM, watch)
     left_s, period_s = signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)

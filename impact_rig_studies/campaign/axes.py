@@ -40,7 +40,7 @@ _DIGITS = 12  # digits of the values of a range, so that 9.00, 9.01, ... are exa
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:
     """Create the error "KEY must be RULE, got VALUE", for the caller to raise."""
-    return ConfigError(f"{key} must be {rule}, got {quoted(value)}")
+    return ConfigError(f"{key} must be {rule}, got {'nothing' if value is None else quoted(value)}")
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
@@ -138,14 +138,14 @@ def values(key: str, value: object) -> list[object]:
     else:
         items = [value]
     if not 1 <= len(items) <= MAX_VALUES:
-        raise wrong(key, f"a list of 1 to {MAX_VALUES} values", value)
+        raise ConfigError(f"{key} must be a list of 1 to {MAX_VALUES} values, got {len(items)}")
     known: set[tuple[bool, object]] = set()
     for i, item in enumerate(items):
         if isinstance(item, (list, dict, set)):
             raise wrong(f"{key}[{i}]", "one value", item)
         same = isinstance(item, bool), item  # 1 and true are equal in Python
         if same in known:
-            raise ConfigError(f"{key} must not repeat a value, got {item!r} twice")
+            raise ConfigError(f"{key} must not repeat a value, got {'null' if item is None else quoted(item)} twice")
         known.add(same)
     return items
 

@@ -213,7 +213,7 @@ def _study(name: str, content: object, base: RigConfig) -> Study:
     known = ("frequencies_hz", "gaps_m", "currents_a", *NAMED_AXES, "vary", "direction", "repetitions", "traces")
     axes.check_keys(where, given, known)
     if "frequencies_hz" not in given:
-        raise ConfigError(f"{where}.frequencies_hz is missing")
+        raise ConfigError(f"{where}.frequencies_hz is missing: add the drive frequencies in Hz")
     shaker = base.shaker
     frequencies = axes.numbers(f"{where}.frequencies_hz", given["frequencies_hz"], 0.0)
     for frequency in frequencies:

@@ -201,13 +201,18 @@ class Store:
             )
         for name in ("time", "laser", "accelerometer", *TRUE_COLUMNS):
             column = arrays.get(name)
-            if column is None or not len(column) or len(column) != len(arrays["time"]):
-                found = "none" if column is None else f"{len(column)}"
-                raise DamagedPointError(
-                    f"{path}, {_TRACE}: column {name} must have at least one value, and as many as time, got {found}"
-                )
+            if column is None:
+                raise DamagedPointError(f"{path}, {_TRACE}: column {name} is missing")
+            if not len(column):
+                raise DamagedPointError(f"{path}, {_TRACE}: column {name} must have at least one value, got 0")
+            if len(column) != len(arrays["time"]):
+                rule = f"as many values as column time, {len(arrays['time'])}"
+                raise DamagedPointError(f"{path}, {_TRACE}: column {name} must have {rule}, got {len(column)}")
             if not np.all(np.abs(column) <= MOST):
-                raise DamagedPointError(f"{path}, {_TRACE}: column {name} must be finite and within ±{MOST:g}")
+                wrong = column[~(np.abs(column) <= MOST)][0]
+                raise DamagedPointError(
+                    f"{path}, {_TRACE}: column {name} must be finite and within ±{MOST:g}, got {wrong:g}"
+                )
         if hashlib.sha256(packed).hexdigest() != digest:
             raise DamagedPointError(
                 f"{path} was changed after it was stored, or belongs to another result: its digest is not the one in "

@@ -270,7 +270,8 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
     except OSError as error:
         raise ConfigError(f"cannot read {what}: {files.reason_unreadable(error, path)}") from error
     except ValueError as error:  # PlainYamlError, or not UTF-8
-        raise ConfigError(f"cannot be read as plain YAML: {' '.join(str(error).split())} ({path})") from error
+        why = "it must be UTF-8 text, " if isinstance(error, UnicodeDecodeError) else ""
+        raise ConfigError(f"cannot be read as plain YAML: {why}{' '.join(str(error).split())} ({path})") from error
     try:
         return read(document, text)
     except (ConfigError, BudgetError) as error:

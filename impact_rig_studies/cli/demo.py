@@ -185,7 +185,7 @@ def _judge(value: float, limit: float) -> Statement:
 
 def _lost_blocks(run: RunInfo) -> int:
     if run.scans is None:
-        raise ImpactRigError(f"{run.path} contains no scans (topic daq/scan): run the demo again")
+        raise ImpactRigError(f"{run.path} contains no scans (topic daq/scan): repeat the demo with another --output")
     return run.scans.lost_blocks
 
 

@@ -218,8 +218,10 @@ def run_backbone(arguments: argparse.Namespace) -> int:
     """
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
-    if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
-        raise ConfigError(f"--currents must be > 0 and strictly ascending, got {' '.join(map(str, currents))}")
+    if min(currents) <= 0.0:
+        raise ConfigError(f"--currents must be > 0, got {min(currents):g}")
+    if list(currents) != sorted(set(currents)):
+        raise ConfigError(f"--currents must be strictly ascending, got {' '.join(map(str, currents))}")
     plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
     with _results(arguments) as directory:
         with _open(arguments.through, with_short_blocks(config)) as rig:

@@ -66,7 +66,7 @@ def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -
         options = "--scale and --seconds" if "seconds" in arguments else "--scale"
         raise ConfigError(
             f"{arguments.file}: the signal is zero throughout, with {options} applied, so there is nothing to play or "
-            "to follow"
+            f"to follow: change {options}, or choose another signal with --signal"
         )
 
 

@@ -158,7 +158,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
                 decay = recorded_decay(recorded, method)
     if decay is not None:
         if decay.status is not Status.OK:
-            why = REASONS.get(decay.status, decay.status.value)
+            why = REASONS.get(decay.status, f"{decay.status.value} ({decay.status.doc.rstrip('.')})")
             whose = f"of {arguments.decay}" if arguments.decay else "simulated for this campaign"
             raise ImpactRigError(f"the free decay {whose} cannot be measured: {why}; leave it out with --without decay")
         console.print(

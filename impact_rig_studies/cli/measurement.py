@@ -126,7 +126,7 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
                 f"cannot read the mapping: {files.reason_unreadable(error, arguments.mapping)}"
             ) from error
         except UnicodeDecodeError as error:
-            raise ConfigError(f"{arguments.mapping} is not UTF-8 text: {error}") from error
+            raise ConfigError(f"the mapping must be UTF-8 text, {error} ({arguments.mapping})") from error
         try:
             mapping = refined(mapping, text)
         except ConfigError as error:

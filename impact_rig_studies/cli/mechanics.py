@@ -53,7 +53,9 @@ def run_map(arguments: argparse.Namespace) -> int:
     runner = tasks.runner(measure_line, address, arguments.workers)
     plan = load_map(file, cluster_threads(address) if address else arguments.workers)
     if arguments.exponent and {UP, DOWN} & set(plan.layers):
-        raise ConfigError(f"--exponent needs motions that start from rest: `direction` in {file} must be reset")
+        raise ConfigError(
+            f"--exponent needs motions that start from rest: `direction` in {file} must be reset, or omit --exponent"
+        )
     store = run.store(directory)
     console = Console(quiet=arguments.json)
     with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
@@ -81,7 +83,7 @@ def run_map(arguments: argparse.Namespace) -> int:
     )
     if unsolved == plan.points:
         console.print(
-            f"the motion could not be simulated at any of the {plan.points} points: check the ranges in the file",
+            f"the motion could not be simulated at any of the {plan.points} points: check the ranges in {file}",
             style="red",
         )
     tell_results(directory, {"points": plan.points, **more}, as_json=arguments.json)
@@ -167,7 +169,7 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
     if empty:
         console.print(
             "there is no result: no motion could be simulated, or none led to an orbit; change the values or starts in "
-            "the file",
+            f"{file}",
             style="red",
         )
     tell_results(directory, content, as_json=arguments.json)

@@ -127,8 +127,9 @@ class StudyTask(HashedTask):
             ValueError: a row does not have the number of columns of this kind of study.
         """
         columns = len(COLUMNS[self.kind])
-        if any(len(row) != columns for row in rows):
-            raise ValueError(f"each stored row of the study {self.kind} must have {columns} values")
+        for row in rows:
+            if len(row) != columns:
+                raise ValueError(f"each stored row of the study {self.kind} must have {columns} values, got {len(row)}")
         return [tuple(row) for row in rows]
 
 
@@ -336,9 +337,10 @@ def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfi
     top = axes.mapping("a dynamics file", document)
     axes.check_keys("", top, ("title", "config", "set", FREQUENCY, CURRENT, "measure", *KINDS))
     if kind not in top:
+        defined = ", ".join(one for one in KINDS if one in top)
         raise ConfigError(
             f"the file has no section named {kind}, which defines this study: add it (docs/how-to/dynamics.md), or "
-            "choose a study that the file defines"
+            f"choose a study that the file defines ({defined or 'none so far'})"
         )
     rig = resolved or axes.rig(top, path.parent, refuse_owned)
     changes = differences(rig)
@@ -475,10 +477,15 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
         raise axes.wrong(f"{kind}.starts", "at least one start", listed)
     for i, one in enumerate(listed if isinstance(listed, list) else [listed]):
         if isinstance(one, list) and len(one) == 2:
-            place, speed = (axes.number(f"{kind}.starts[{i}]", value, -100.0, 100.0) for value in one)
+            place, speed = (
+                axes.number(f"{kind}.starts[{i}][{j}]", value, -100.0, 100.0) for j, value in enumerate(one)
+            )
             found.append((place, speed))
+        elif one in STARTS:
+            found.append(str(one))
         else:
-            found.append(axes.word(f"{kind}.starts[{i}]", one, STARTS))
+            rule = f"one of {', '.join(STARTS)}, or a list of position [m] and speed [m/s]"
+            raise axes.wrong(f"{kind}.starts[{i}]", rule, one)
     return found
 
 

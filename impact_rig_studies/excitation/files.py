@@ -90,14 +90,22 @@ def _value(key: str, value: object, kind: object) -> object:
             found = read(value, Spectrum)
         except ConfigError as error:
             raise ConfigError(f"{key}: {error}") from error
-        f, densities = np.array(found.frequency_hz), np.array(found.density)
-        positive = bool(np.all(f > 0.0) and np.all(densities > 0.0))
-        if not (2 <= len(f) == len(densities) and positive and np.all(np.diff(f) > 0.0)):
-            raise ConfigError(
-                f"{key} needs two corners or more: ascending frequency_hz > 0, and as many values of density > 0 (in "
-                f"unit of the response² / Hz), got {value}"
-            )
-        return found
+        f, densities = found.frequency_hz, found.density
+        unordered = next(((one, after) for one, after in itertools.pairwise(f) if not one < after), None)
+        if len(f) < 2:
+            rule = f"frequency_hz must have at least 2 values, one for each corner, got {len(f)}"
+        elif len(f) != len(densities):
+            rule = f"density must have as many values as frequency_hz, {len(f)}, got {len(densities)}"
+        elif not f[0] > 0.0:
+            rule = f"frequency_hz must be > 0 Hz, got {f[0]:g}"
+        elif unordered is not None:
+            rule = f"frequency_hz must be ascending, got {unordered[1]:g} after {unordered[0]:g}"
+        elif not all(one > 0.0 for one in densities):
+            wrong = next(one for one in densities if not one > 0.0)
+            rule = f"density must be > 0 (in unit of the response² / Hz), got {wrong:g}"
+        else:
+            return found
+        raise ConfigError(f"{key}: {rule}")
     if kind == "tuple[float, ...]":
         if not isinstance(value, list) or any(
             isinstance(one, bool) or not isinstance(one, (int, float)) for one in value
@@ -112,7 +120,8 @@ def _value(key: str, value: object, kind: object) -> object:
             )
         return value
     if isinstance(value, bool) or not isinstance(value, int if kind == "int" else (int, float)):
-        raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {repr(value)[:60]}")
+        shown = "nothing" if value is None else repr(value)[:60]
+        raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {shown}")
     return value if kind == "int" else float(value)
 
 
@@ -172,7 +181,7 @@ def history(
     if not len(values) or not np.all(np.isfinite(values)):
         count = np.count_nonzero(~np.isfinite(values))
         problem = f"{count} of its {len(values)} values are not finite" if len(values) else "it has no values"
-        raise RecordingError(f"{path}: the signal cannot be played: {problem}")
+        raise RecordingError(f"{path}: the signal cannot be played: {problem}; choose another one with --signal")
     if rate_hz >= found_hz:
         ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
     else:  # the denominator leaves too few digits of a small number
@@ -187,7 +196,7 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float, str]:
     with open_run(path) as run:
         tables = list(run.tables(topics.SCAN, recorded_order=True))
         if not tables:
-            raise RecordingError(f"{path}: the run contains no scans, so there is no signal to play")
+            raise RecordingError(f"{path}: the run contains no scans, so there is no signal to play; use another run")
         units = {row["name"].decode(): row["unit"].decode() for row in calibration_rows(run)}
     channels = [one for one in tables[0].rows.dtype.names or () if one in units]
     if name not in channels:
