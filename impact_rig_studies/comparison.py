@@ -276,8 +276,9 @@ class _ModelledScans:
             self.true[name] = samples_of(measured, name)
         wrong = next((name for name in CHANNELS if not np.all(np.isfinite(self.true[name]))), None)
         if wrong is not None:
+            count = np.count_nonzero(~np.isfinite(self.true[wrong]))
             raise RecordingError(
-                f"{run.path}: the channel {wrong} has a reading that is not finite, so the run cannot be compared: "
+                f"{run.path}: {count} readings of the channel {wrong} are not finite, so the run cannot be compared: "
                 "measure again, or repair the data and import them again"
             )
         self.stretches = list(self._stretches(run))

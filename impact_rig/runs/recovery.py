@@ -434,7 +434,10 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
         counts = int(record["damages"]), int(record["lost_bytes"])
         return Recovered(record["source"], *counts, missing, record["unfinished"] == "1")
     except (KeyError, ValueError) as error:
-        why = f"it has no entry {error}" if isinstance(error, KeyError) else f"an entry is not a whole number ({error})"
+        why = f"it has no entry {error}"
+        if isinstance(error, ValueError):
+            found = ", ".join(repr(record.get(name)) for name in ("missing_messages", "damages", "lost_bytes"))
+            why = f"missing_messages, damages and lost_bytes must be whole numbers, got {found}"
         raise DamageError(
             f"the metadata record {RECORD_NAME!r}, the losses of the recovery that wrote this run, is invalid: {why}; "
             "impact-rig recover writes the same messages to a new run, which does not state these losses"

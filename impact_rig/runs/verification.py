@@ -203,7 +203,9 @@ def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None)
         return Verification(False if changes else None, 0, changes[0] if changes else str(error))
     if not journals:
         return Verification(
-            False if changes else None, 0, changes[0] if changes else f"the run has no message on {topics.JOURNAL.name}"
+            False if changes else None,
+            0,
+            changes[0] if changes else f"the run has no message on {topics.JOURNAL.name}: choose a run that has them",
         )
     if blocks is not None:
         last = max((number for number, _ in _assigned(_scans(run, blocks), journals, first)), default=first)
@@ -236,7 +238,8 @@ def _verify_all(
         compared += found.scans
         if not found.identical:
             return attrs.evolve(found, scans=compared)
-    return Verification(True, compared) if compared else Verification(None, 0, "the run holds no block of daq/scan")
+    nothing = "the run holds no block of daq/scan: choose a run with scans"
+    return Verification(True, compared) if compared else Verification(None, 0, nothing)
 
 
 def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int, int]:
@@ -281,7 +284,7 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
             found.append([])
         found[-1].append(entry)
     if problem is not None and not found:
-        raise RecordingError(f"no message on {journal} is a valid entry; the first one: {problem}")
+        raise RecordingError(f"no message on {journal} is a valid entry; the first error: {problem}")
     return found, _overlapping(found, sent), max(0, starts - 1), foreign
 
 

@@ -233,7 +233,10 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                 if time.monotonic() - asked_s > WORKERS_S:  # not for each job: the answer takes longer than a short one
                     present, asked_s = client.nthreads(), time.monotonic()
                 if not present:
-                    _warn(f"waiting for a worker of the Dask cluster at {address}")
+                    _warn(
+                        f"waiting for a worker of the Dask cluster at {address}: start one with "
+                        f"dask worker {address} --nthreads 1"
+                    )
                     client.wait_for_workers(1)
                     present = client.nthreads()
                 found = [worker for worker in present if worker not in wrong]

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
+from impact_rig.names import quoted
 from impact_rig.recording import open_run
 from impact_rig.runs.excerpts import calibration_rows
 from impact_rig.system import budget
@@ -85,6 +86,7 @@ def read(document: object, kind: type[P]) -> P:
 
 
 def _value(key: str, value: object, kind: object) -> object:
+    shown = "nothing" if value is None else quoted(value)[:60]
     if kind == "Spectrum":
         try:
             found = read(value, Spectrum)
@@ -110,17 +112,14 @@ def _value(key: str, value: object, kind: object) -> object:
         if not isinstance(value, list) or any(
             isinstance(one, bool) or not isinstance(one, (int, float)) for one in value
         ):
-            raise ConfigError(f"{key} must be a list of numbers, got {str(value)[:60]!r}")
+            raise ConfigError(f"{key} must be a list of numbers, got {shown}")
         return tuple(float(one) for one in value)
     if kind in ("Response", "str"):
         if kind == "Response" and value not in [*Response]:
             allowed = ", ".join(Response)
-            raise ConfigError(
-                f"{key}, the response that the test controls, must be one of {allowed}, got {str(value)[:60]!r}"
-            )
+            raise ConfigError(f"{key}, the response that the test controls, must be one of {allowed}, got {shown}")
         return value
     if isinstance(value, bool) or not isinstance(value, int if kind == "int" else (int, float)):
-        shown = "nothing" if value is None else repr(value)[:60]
         raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {shown}")
     return value if kind == "int" else float(value)
 
@@ -181,7 +180,7 @@ def history(
     if not len(values) or not np.all(np.isfinite(values)):
         count = np.count_nonzero(~np.isfinite(values))
         problem = f"{count} of its {len(values)} values are not finite" if len(values) else "it has no values"
-        raise RecordingError(f"{path}: the signal cannot be played: {problem}; choose another one with --signal")
+        raise RecordingError(f"{path}: the signal cannot be played: {problem}; choose another signal or file")
     if rate_hz >= found_hz:
         ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
     else:  # the denominator leaves too few digits of a small number
