@@ -85,7 +85,7 @@ def run(
     if not head:
         ended_by = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
         if is_late or ended_by == signal.SIGXCPU:
-            limit = f"{4.0 * seconds:.0f} s" if is_late else f"{seconds:.0f} s of computing time"
+            limit = f"{4.0 * seconds:.3g} s" if is_late else f"{seconds:.3g} s of computing time"
             raise RecordingError(
                 f"{path} takes longer to read than {limit}, the limit for a file of {file_bytes} bytes; if you trust "
                 f"it, set the environment variable {budget.VARIABLE}=N to allow N times the default"

@@ -355,7 +355,7 @@ VIEW = '{"do":"view","span":1,"columns":100,"trigger":false,"spectrum":"laser","
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
-        ("", "must be JSON"), ("[" * 5000, "must be JSON"), ("3", "JSON object"), ('{"do": 3}', "no request 3"),
+        ("", "a JSON object"), ("[" * 5000, "a JSON object"), ("3", "a JSON object"), ('{"do": 3}', "no request 3"),
         ('{"do":"frequency"}', "takes value"), ('{"do":"frequency","value":true}', "must be a number"),
         ('{"do":"frequency","value":NaN}', "finite"), ('{"do":"frequency","value":1e999}', "finite"),
         ('{"do":"frequency","value":1' + "0" * 400 + "}", "1.8e308"), ('{"do":"note","value":"a\\u0000"}', "printable"),

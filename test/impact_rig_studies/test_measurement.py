@@ -242,7 +242,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
     ("text", "mapping", "why"),
     [
         (lines(lambda k: f"{k / 100},{k}" + (",7" if k == 9 else "")), "{}", "line 11 has 3 cells, the first row"),
-        (lines(lambda k: f"{k / 100 + (0.004 if k == 7 else 0)},{k},{k}", "t,x1,xb"), MM, "uniform in time: value 8"),
+        (lines(lambda k: f"{k / 100 + (0.004 if k == 7 else 0)},{k},{k}", "t,x1,xb"), MM, "time of value 8 is 0.40"),
         (lines(lambda k: f"{k / 100 if k != 7 else 0},{k},{k}", "t,x1,xb"), MM, "times must increase"),
         (lines(lambda k: f"{k},{k}", "x1,xb"), MM, "neither times nor a rate"),
         (STEADY, MM.replace("mm", "furlongs per"), "the unit of the channel laser must be a unit of m"),

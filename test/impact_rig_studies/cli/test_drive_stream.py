@@ -196,7 +196,7 @@ def test_insufficient_data_yield_a_message_instead_of_a_number(tmp_path, capsys,
         (("drive", "frf", "--frames", "1000000000"), "samples of 1000000000 frames"),
         (("drive", "frf", "--frame-s", "1e9"), "samples of 20 frames"),
         (("drive", "frf", "--drive-seed", "-1"), "seed must be"),
-        (("drive", "frf", "--high-hz", "3"), "low_hz must be < high_hz = 3 Hz, got 5 Hz"),
+        (("drive", "frf", "--high-hz", "3"), "low_hz must be < high_hz = 3 Hz, got 4 Hz"),
         (
             ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "band.yaml"),
             "low_hz must be < high_hz = 30 Hz, got 100 Hz",
