@@ -106,7 +106,7 @@ def format_of(path: Path, content: bytes) -> Format:
     found = FORMATS.get(path.suffix.lower())
     if found is None:
         raise RecordingError(
-            f"{path} cannot be read: its suffix must be one of {', '.join(FORMATS)}; export it in one of these formats"
+            f"{path}: its suffix must be one of {', '.join(FORMATS)}; export it in one of these formats"
         )
     return MATLAB_7_3 if found is MATLAB_5 and hdf5.is_hdf5(content) else found
 
