@@ -103,7 +103,7 @@ class TopicDescription:
     type_hash: str = ""  # RIHS01 hash of the type description; empty if unknown
     offered_qos: tuple[OfferedQos, ...] = ()  # one entry per publisher; may be empty
     offered_qos_text: str = attrs.field(
-        default=attrs.Factory(lambda self: dump_yaml([qos.to_yaml() for qos in self.offered_qos]), takes_self=True)
+        default=attrs.Factory(lambda self: _qos_text(self.offered_qos), takes_self=True)
     )
     """YAML list of the offered profiles: as in the file for a topic that was read, else made from `offered_qos`."""
     encoding: str = SERIALIZATION  # encoding of its messages
@@ -184,6 +184,11 @@ def dump_yaml(value: object) -> str:
     """Return `value` as block-style YAML, with keys in their order and without a newline at the end."""
     text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=False, allow_unicode=True)
     return text.rstrip("\n")
+
+
+@functools.lru_cache(maxsize=64)  # topics have few different profiles
+def _qos_text(offered: tuple[OfferedQos, ...]) -> str:
+    return dump_yaml([qos.to_yaml() for qos in offered])
 
 
 def _time(nanoseconds: int) -> dict[str, int]:

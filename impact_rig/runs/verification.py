@@ -22,6 +22,7 @@ recorder subscribes to one topic after the other.
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import math
 from collections import Counter
@@ -835,8 +836,8 @@ class _OtherTopics:
         attached = self._run.attachments().get(CONFIGURATION)
         count, found = 0, []
         try:
-            found = [parse(text.encode()) for text in recorded]
-            opened = None if attached is None else parse(attached)
+            found = [_parsed(text.encode()) for text in recorded]
+            opened = None if attached is None else _parsed(attached)
         except ConfigError as error:
             is_topic = len(found) < len(recorded)
             where = f"text {len(found)}, counted from 0," if is_topic else f"the attachment {CONFIGURATION}"
@@ -951,6 +952,10 @@ class _Monitor:
         return difference
 
 
+_parsed = functools.lru_cache(maxsize=8)(parse)
+"""Configuration in a recorded text; a run repeats the same text, and two comparisons read it."""
+
+
 def _monitor_rates_hz(run: Run) -> set[float]:
     """Return the monitor rates of all published and attached configurations [Hz].
 
@@ -961,7 +966,7 @@ def _monitor_rates_hz(run: Run) -> set[float]:
     rates_hz = set() if recorded else {usual_hz}
     for found in [*recorded, run.attachments().get(CONFIGURATION)]:
         with contextlib.suppress(ConfigError):  # reported by the comparison of configurations
-            rates_hz |= {parse(found).output.monitor_rate_hz} if found is not None else set()
+            rates_hz |= {_parsed(found).output.monitor_rate_hz} if found is not None else set()
     return rates_hz or {usual_hz}
 
 

@@ -37,19 +37,21 @@ from impact_rig.system import machine
 pytestmark = pytest.mark.heavy
 
 TABLE = "transmissibility/table"
+COARSE: dict[str, object] = {"daq.rate_hz": 2000, "daq.block_scans": 20}
+"""Blocks of a tick, of few scans, because the tests are about rows and their order."""
 AGAIN = (200, 400, 600, 800)
 """Blocks with a change that a recorder or an analysis that came late has seen, too."""
 
 
 @pytest.fixture(scope="module")
 def complete_run() -> Messages:
-    return messages()
+    return messages(**COARSE)
 
 
 @pytest.fixture(scope="module")
 def long() -> Messages:
-    """Run with rows at 10.6 and 15.9 s, and one at 24.5 s, after a change at 16 s."""
-    return messages(26, (1600,))
+    """Run with rows at 11.3 and 16 s, and one at 24.5 s, after a change at 16 s."""
+    return messages(26, (1600,), **COARSE)
 
 
 def compared(directory: Path, found: Messages) -> Agreement:
@@ -131,7 +133,7 @@ def test_a_run_of_a_late_recorder_is_compared_from_the_first_shared_change(
     complete_run: Messages, tmp_path: Path, late: int
 ) -> None:
     """The first change that both received is a command; before it, their waits started at 0.07 s and at 0 s."""
-    data = messages(again=AGAIN)
+    data = messages(again=AGAIN, **COARSE)
     part = [(name, table) for name, table in data if name not in ("daq/scan", TABLE) or table.stamp_ns >= late * TICK]
     found = compared(tmp_path, part)
     assert found.same, found.reason
@@ -143,14 +145,16 @@ def test_a_run_of_a_late_recorder_is_compared_from_the_first_shared_change(
 
 @pytest.mark.parametrize("joined", [30, 160, 333], ids=lambda blocks: f"{blocks} blocks")
 def test_an_analysis_that_joined_late_is_compared_from_the_first_shared_change(tmp_path: Path, joined: int) -> None:
-    found = compared(tmp_path, measured_live(messages(again=AGAIN), lambda stamp_ns: stamp_ns >= joined * TICK))
+    found = compared(
+        tmp_path, measured_live(messages(again=AGAIN, **COARSE), lambda stamp_ns: stamp_ns >= joined * TICK)
+    )
     assert found.same, found.reason
     assert found.identical
     assert found.compared > 0
 
 
 def test_a_live_analysis_that_ended_halfway_is_reported_as_different(tmp_path: Path) -> None:
-    data = messages(again=AGAIN)
+    data = messages(again=AGAIN, **COARSE)
     middle = early_rows(data)[-1]
     died = [(name, table) for name, table in data if name != TABLE or table.stamp_ns < middle.stamp_ns]
     assert live_rows(died) > 0
@@ -160,7 +164,7 @@ def test_a_live_analysis_that_ended_halfway_is_reported_as_different(tmp_path: P
 
 
 def test_a_missing_or_invented_row_is_a_difference(tmp_path: Path) -> None:
-    data = messages(again=AGAIN)
+    data = messages(again=AGAIN, **COARSE)
     place = next(number for number, (_, table) in enumerate(data) if table is early_rows(data)[-1])
     assert compared(tmp_path / "missing", [*data[:place], *data[place + 1 :]]).same is False
     name, table = data[place]
@@ -237,7 +241,7 @@ def test_a_machine_that_computes_differently_has_another_fingerprint(monkeypatch
 @pytest.mark.parametrize("first_tick", [0, 300], ids=["scan 0", "3 s"])
 def test_late_calibration_and_drive_apply_from_the_first_block(tmp_path: Path, late: int, first_tick: int) -> None:
     """A recorder started in mid-run receives scans before latched messages; the live analysis knew these all along."""
-    data = messages(again=AGAIN)
+    data = messages(again=AGAIN, **COARSE)
     part = [(name, one) for name, one in data if name not in ("daq/scan", TABLE) or one.stamp_ns >= first_tick * TICK]
     known = [one for one in part if one[0] in ("daq/info", "shaker/applied") and one[1].stamp_ns <= first_tick * TICK]
     known = known if first_tick else [one for one in known if one[0] == "daq/info"]
@@ -353,7 +357,7 @@ def test_a_measurement_of_an_older_version_with_fewer_columns_is_compared(
 
 def test_a_restarted_analysis_is_compared_until_its_first_end(complete_run: Messages, tmp_path: Path) -> None:
     """The restarted analysis labels what it will receive from stamp 0 on, which must not label the rows before it."""
-    killed_ns, again_ns = 11 * NS_PER_S, 11_500_000_000
+    killed_ns, again_ns = 11_400_000_000, 11_500_000_000
     found: Messages = []
     for name, table in complete_run:
         if name == TABLE and table.stamp_ns > killed_ns:
