@@ -92,6 +92,11 @@ class OfferedQos:
         }
 
 
+@functools.lru_cache(maxsize=64)  # topics have few different profiles
+def _qos_text(offered: tuple[OfferedQos, ...]) -> str:
+    return dump_yaml([qos.to_yaml() for qos in offered])
+
+
 @attrs.frozen(kw_only=True)
 class TopicDescription:
     """Description of a recorded topic: its name, message type, schema, and the QoS that its publishers offer."""
@@ -184,11 +189,6 @@ def dump_yaml(value: object) -> str:
     """Return `value` as block-style YAML, with keys in their order and without a newline at the end."""
     text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=False, allow_unicode=True)
     return text.rstrip("\n")
-
-
-@functools.lru_cache(maxsize=64)  # topics have few different profiles
-def _qos_text(offered: tuple[OfferedQos, ...]) -> str:
-    return dump_yaml([qos.to_yaml() for qos in offered])
 
 
 def _time(nanoseconds: int) -> dict[str, int]:
