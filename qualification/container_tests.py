@@ -178,7 +178,7 @@ def _wrong_with(case: ET.Element) -> str:
 
 
 def _incomplete(cases: list[ET.Element], environment: dict[str, str]) -> list[str]:
-    """Return what `impact-rig info` reports about the runs of failed tests that are not complete."""
+    """Report the runs of failed tests that `impact-rig info` does not find complete, one line each."""
     command = [sys.executable, "-c", INFO, *(_properties(case)["rig.run"] for case in cases)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     reports = re.findall(r"(.*?)^RUN (\d+)\n", done.stdout, re.MULTILINE | re.DOTALL)
