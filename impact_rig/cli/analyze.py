@@ -94,7 +94,7 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
     """
     settled = rows[rows["settled"] == 1.0]
     if not len(settled):
-        console.print("no settled measurement in this run; --all lists the measurements and their statuses")
+        console.print("no settled measurement in this run")
         unsettled = rows[rows["status"] == Status.NOT_SETTLED.value.encode()]
         if len(unsettled):
             row = unsettled[-1]
