@@ -17,9 +17,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from fractions import Fraction
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeGuard, TypeVar
 
 import attrs
 import numpy as np
@@ -109,9 +110,7 @@ def _value(key: str, value: object, kind: object) -> object:
             return found
         raise ConfigError(f"{key}: {rule}")
     if kind == "tuple[float, ...]":
-        if not isinstance(value, list) or any(
-            isinstance(one, bool) or not isinstance(one, (int, float)) for one in value
-        ):
+        if not isinstance(value, list) or not all(_is_number(one) for one in value):
             raise ConfigError(f"{key} must be a list of numbers, got {shown}")
         return tuple(float(one) for one in value)
     if kind in ("Response", "str"):
@@ -119,9 +118,16 @@ def _value(key: str, value: object, kind: object) -> object:
             allowed = ", ".join(Response)
             raise ConfigError(f"{key}, the response that the test controls, must be one of {allowed}, got {shown}")
         return value
-    if isinstance(value, bool) or not isinstance(value, int if kind == "int" else (int, float)):
+    if not _is_number(value) or (kind == "int" and not isinstance(value, int)):
         raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {shown}")
     return value if kind == "int" else float(value)
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a number that a float can represent; true and false are none."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) <= sys.float_info.max
+    return isinstance(value, float)
 
 
 def history(

@@ -301,6 +301,7 @@ def test_the_high_pass_of_the_accelerometer_is_corrected():
     [
         ("peak: 20\nduraton_s: 0.01", r"unknown key duraton_s: did you mean duration_s\? \(.*plan.yaml\)"),
         ("peak: -1", r"peak.*plan.yaml"),
+        (f"peak: 0x{'f' * 500}", r"peak must be a number, got .*plan.yaml"),
         ("peak: [1]", r"peak must be a number, got \[1\] \(.*plan.yaml\)"),
         ("- 1", r"a mapping is needed"),
     ],

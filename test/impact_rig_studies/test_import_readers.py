@@ -899,8 +899,9 @@ def test_an_empty_or_irregular_file_is_rejected_at_once(tmp_path: Path, suffix: 
     (tmp_path / f"empty{suffix}").touch()
     (tmp_path / f"folder{suffix}").mkdir()
     for name, why in (("pipe", "not a regular file"), ("empty", "is empty"), ("folder", "is a directory")):
-        with pytest.raises(ImpactRigError, match=why):
+        with pytest.raises(ImpactRigError, match=why) as failure:
             readers.read(tmp_path / f"{name}{suffix}")
+        assert str(failure.value).count(f"{name}{suffix}") == 1, "the file is named once"
 
 
 def test_a_reader_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

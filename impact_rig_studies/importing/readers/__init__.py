@@ -123,13 +123,9 @@ def read(path: Path) -> ImportedSignals:
         BudgetError: a bag is larger than `FILE_BYTES`, or the file claims more content than its size can hold.
     """
     try:
-        bag_bytes = _bag_bytes(path) if bag.is_bag(path) else None
-        if bag_bytes is None and path.suffix.lower() not in FORMATS:
-            format_of(path, b"")
-        if bag_bytes is None and not stat.S_ISREG(path.stat().st_mode):
-            what = "a directory" if path.is_dir() else "not a regular file"
-            raise RecordingError(f"{path} is {what}: a file of measurements, or the directory of a ROS bag, is needed")
-        content = b"" if bag_bytes else files.read_bytes(path, budget.raised(FILE_BYTES))
+        bag_bytes, content = _content(path)
+    except RecordingError:  # also an OSError, and complete
+        raise
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     if not bag_bytes and not content:
@@ -143,6 +139,24 @@ def read(path: Path) -> ImportedSignals:
             "measured signals as numbers"
         )
     return found
+
+
+def _content(path: Path) -> tuple[int | None, bytes]:
+    """Return the size of a bag in bytes and nothing, or None and the content of another file.
+
+    Raises:
+        RecordingError: the suffix is unknown, or the path is neither a regular file nor a bag.
+        BudgetError: the file or bag is larger than `FILE_BYTES`.
+        OSError: the file cannot be read.
+    """
+    if bag.is_bag(path):
+        return _bag_bytes(path), b""
+    if path.suffix.lower() not in FORMATS:
+        format_of(path, b"")
+    if not stat.S_ISREG(path.stat().st_mode):
+        what = "a directory" if path.is_dir() else "not a regular file"
+        raise RecordingError(f"{path} is {what}: a file of measurements, or the directory of a ROS bag, is needed")
+    return None, files.read_bytes(path, budget.raised(FILE_BYTES))
 
 
 def _bag_bytes(path: Path) -> int:
