@@ -267,7 +267,7 @@ class RigDriver(abc.ABC):
 
     @property
     def step_delivers(self) -> bool:
-        """Whether all blocks of a step that are not withheld have arrived when `step` returns."""
+        """Return whether all blocks of a step that are not withheld have arrived when `step` returns."""
         return True
 
     def watch(self) -> Callable[[], None]:

@@ -557,7 +557,7 @@ class RosRig(RigDriver):
 
     @property
     def step_delivers(self) -> bool:
-        """Whether all blocks of a step that are not withheld have arrived when `step` returns.
+        """Return whether all blocks of a step that are not withheld have arrived when `step` returns.
 
         The rig must advance only in `step`, and wait for the acknowledgements of this program.
         """
