@@ -135,7 +135,8 @@ LINT = $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && $(VENV)/bin/python -m too
 # The slow part of lint runs next to the tests, because alone it would use one core only. What it rejects is printed last.
 check: $(TEST) kernels ## quick checks after an edit: style, types, layers, tests without processes, browser and ROS
 	@begin=$$(date +%s); $(STYLE) || exit; \
-	    said=$$(mktemp); trap 'rm -f $$said' EXIT; { $(LINT); } > $$said 2>&1 & lint=$$!; \
+	    said=$$(mktemp); $$(command -v setsid) sh -c '$(LINT)' > $$said 2>&1 & lint=$$!; \
+	    trap 'kill -- -$$lint 2> /dev/null || kill $$lint 2> /dev/null; rm -f $$said' EXIT; trap 'exit 130' INT TERM; \
 	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS); tests=$$?; \
 	    wait $$lint; lint=$$?; [ $$lint = 0 ] || cat $$said; [ $$tests = 0 ] && [ $$lint = 0 ] $(if $(MEASURED),&& $(call note,check_s))
 

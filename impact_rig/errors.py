@@ -105,7 +105,7 @@ class RecordingError(ImpactRigError, OSError):
         ...     impact_rig.open_run("missing")
         ... except impact_rig.RecordingError as error:
         ...     print(error)
-        missing does not exist, or is neither a run directory nor an MCAP file
+        missing does not exist: check the path
     """
 
 

@@ -371,7 +371,8 @@ class Gateway:
         client = self.client.prepare(service_type, name)
         await self.until(client.service_is_ready, f"the service {name}; is its node running?", timeout_s)
         with ServiceCall(client, request) as call:
-            response = await self.until(call.response, f"an answer of {name}; repeat the request", timeout_s)
+            what = f"an answer of {name}; repeat the request if it had no effect"
+            response = await self.until(call.response, what, timeout_s)
         result = getattr(response, "result", None)  # for set parameters
         done, words = (result.successful, result.reason) if result else (response.success, response.message)
         if not done:

@@ -80,7 +80,7 @@ class RunPlayer:
     """Player of one recorded run: it passes scans and motion up to the shown time to its record, and reads the marks.
 
     The marks are the rare messages of the whole run. Times of the page are seconds since scan 0 of the first run. The
-    player of a second run adds `offset_s` to them.
+    player of a second run adds `offset_s` to a time of the page to get the time since scan 0 of its own run.
 
     Args:
         path: a run directory or an MCAP file; a run that cannot be opened, such as a truncated one, is first recovered

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from impact_rig.errors import RecordingError
+from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import Run
 from impact_rig.runs.reanalysis import remarks
 from impact_rig.states import Status
@@ -37,7 +37,10 @@ def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
 
     Raises:
         RecordingError: no remark states a drop (the message shows an example), or the heights give no restitution.
+        ConfigError: `u_m` is negative or not finite.
     """
+    if not 0.0 <= u_m < math.inf:
+        raise ConfigError(f"u_m, the standard uncertainty of a height, must be >= 0 m and finite, got {u_m:g}")
     drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
     if not drops:
         raise RecordingError(

@@ -140,7 +140,7 @@ def test_a_table_without_its_columns_is_rejected_by_name(topic: str, rows: np.nd
     ("column", "value", "words"),
     [
         ("rate", 1e12, "rate must be > 0 and <= 1e"),
-        ("since_start", np.nan, "since_start, the time from scan 0 to the stamp, must be within .* got nan; correct"),
+        ("since_start", np.nan, "since_start, the time from scan 0 to the stamp, must be within .* got nan s; correct"),
         ("name", b"laser", "each once, and may list others, got"),
         ("noise", 1e200, "noise must be within ±1e"),
     ],

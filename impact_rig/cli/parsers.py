@@ -455,7 +455,7 @@ def add_check(commands: Commands) -> None:
     parser.add_argument(
         "--instruments",
         action="store_true",
-        help="also check gain, phase, noise and polarity of every channel of the board with a known sine",
+        help="also check gain, phase, noise and polarity of each simulated channel with a known sine",
     )
 
 

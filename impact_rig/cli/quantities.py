@@ -128,7 +128,7 @@ class Quantity:
         return f"{' in' if self.about.unit_text else ' without a unit'}{self.about.unit_text}{self._or_words()}"
 
     def _or_words(self) -> str:
-        return "".join(f", or {word}" for word in self.words)
+        return "".join(f", or the word {word}" for word in self.words)
 
 
 def positive(unit: str) -> Quantity:

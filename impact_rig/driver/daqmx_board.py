@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from impact_rig.driver.driver import RigDriver
 from impact_rig.driver.hardware import Acquisition, AnalogOutput, UnderrunError
 from impact_rig.driver.local_rig import LocalRig
-from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.errors import CommandError, ConfigError, GoneError, ImpactRigError
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.topics import INFO
 
@@ -164,6 +164,7 @@ class DaqmxTask:
             rig.
         written: number of samples of an output: those in its buffer at the start, and those written since.
         error: error that ended the task; None if there was none.
+        rig: rig of its last start; None before.
         acquisition: acquisition from the rig, from the start of an input task until `Board.stop`; otherwise None.
         output: analog output of the rig, from the start of an output task until its end; otherwise None.
         data: samples of an output that are not passed to the rig yet, or are repeated [V].
@@ -185,6 +186,7 @@ class DaqmxTask:
     passed: int = 0
     written: int = 0
     error: DaqmxError | None = None
+    rig: RigDriver | None = None
     acquisition: Acquisition | None = None
     output: AnalogOutput | None = None
     data: NDArray[np.float64] = attrs.field(factory=lambda: np.empty(0))
@@ -538,7 +540,7 @@ class Board:
             task.acquisition = Acquisition(rig, buffer_s=buffered / rig.rate_hz)
         else:
             task.output = AnalogOutput(rig, buffer_s=BUFFER_S, raise_underrun=not task.regenerates)
-        task.run, task.passed, task.error, task.state = task.run + 1, 0, None, State.ARMED
+        task.rig, task.run, task.passed, task.error, task.state = rig, task.run + 1, 0, None, State.ARMED
         if not task.trigger:
             armed = [one for one in self.tasks.values() if one.state is State.ARMED and one.trigger == task.kind]
             self._trigger(rig, [task, *armed])
@@ -773,7 +775,7 @@ class Board:
                         self._advance(self._rig)
                 except (ImpactRigError, TimeoutError) as error:  # of the rig, so that no task can continue
                     for task in self.tasks.values():
-                        if task.state is State.RUNNING:
+                        if task.is_active:  # also one that waits for the start of another one
                             self._fail(task, Code.DEV_CANNOT_BE_ACCESSED, str(error))
                     if self._fixed is None:  # the next start makes a new rig; a failed one could not go on
                         self._rig = None
@@ -798,10 +800,14 @@ class Board:
             self._after_block(rig)  # after each block, so that a busy machine causes no underrun
 
     def _check_rig(self, rig: RigDriver) -> None:
-        """Raise a GoneError if the running rig is gone or replaced; later calls check the rig that runs then."""
-        check, self._check = self._check or rig.watch(), None
-        check()
-        self._check = check
+        """Raise a GoneError if the rig that ran at the first call is gone or was restarted."""
+        try:
+            self._check = self._check or rig.watch()
+            self._check()
+        except GoneError as error:  # tasks count samples from the start of that rig
+            raise GoneError(
+                "the running rig has ended or was restarted: start a rig, then impact-rig daqmx again"
+            ) from error
 
     def _after_block(self, rig: RigDriver) -> None:
         rig.clear()
@@ -934,8 +940,8 @@ class Board:
 
         The readings are converted back to the voltages of the sensors, then to the units that the task requests.
         """
-        assert self._rig is not None
-        info = {row["name"].decode(): row for row in self._rig.tables(INFO.name)[-1].rows}
+        assert task.rig is not None
+        info = {row["name"].decode(): row for row in task.rig.tables(INFO.name)[-1].rows}
         found = []
         for channel in task.channels:
             name = INPUTS[int(channel.physical[2:])]

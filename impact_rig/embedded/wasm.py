@@ -27,6 +27,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import llvmlite
+
 from impact_rig.embedded.fmu import HERE
 from impact_rig.kernels.build import FOLDER, HEADER, PARTS, symbol, translated, write_header, write_tables
 from impact_rig.kernels.emit import WASM, emit
@@ -70,11 +72,12 @@ def build_wasm(path: Path, keep: Path) -> None:
 def _emitted(found: Path, part: str) -> Path:
     """Return the object file of a part; it is kept in `found` until the part or `emit` changes."""
     code = found / f"{part}.bc"
-    key = hashlib.sha256(code.read_bytes() + (FOLDER / "emit.py").read_bytes()).hexdigest()[:16]
+    made_by = (FOLDER / "emit.py").read_bytes() + llvmlite.__version__.encode()
+    key = hashlib.sha256(code.read_bytes() + made_by).hexdigest()[:16]
     path = found / f"{part}-{WASM}-{key}.o"
     if not path.exists():
         for former in found.glob(f"{part}-{WASM}-*.o"):
-            former.unlink()
+            former.unlink(missing_ok=True)
         with atomic_write(path) as file:
             file.write(emit(code, WASM)[0])
     return path

@@ -526,7 +526,8 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     if writer is None:
         reasons = [*dict.fromkeys(damage.reason for damage in report.damages)] or ["it holds no messages"]
         more = f"; and {len(reasons) - _MAX_SHOWN} more reasons" if len(reasons) > _MAX_SHOWN else ""
-        raise RecordingError(f"no message can be recovered from {source}: {'; '.join(reasons[:_MAX_SHOWN])}{more}")
+        shown = [f"({i}) {one}" if len(reasons) > 1 else one for i, one in enumerate(reasons[:_MAX_SHOWN], 1)]
+        raise RecordingError(f"no message can be recovered from {source}: {'; '.join(shown)}{more}")
     return report
 
 

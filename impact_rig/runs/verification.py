@@ -111,7 +111,7 @@ class Verification:
             return f"not verifiable: {self.reason}"
         if self.identical:
             return f"identical: {self.scans} scans re-simulated bit for bit"
-        return f"different after {self.scans} identical scans: {self.reason}"
+        return f"different: {self.reason}; {self.scans} scans are identical"
 
 
 def verify(run: Run) -> Verification:

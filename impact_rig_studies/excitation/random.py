@@ -190,6 +190,11 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
     lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     asked = plan.spectrum.at(lines)
     band = asked > 0.0
+    if plan.spectrum.frequency_hz[0] > lines[-1]:
+        raise ConfigError(
+            f"the requested spectrum must begin below {lines[-1]:g} Hz, half of the sample rate, got "
+            f"{plan.spectrum.frequency_hz[0]:g} Hz"
+        )
     if not band.any():
         raise ConfigError(
             f"frame_s must be longer: with {plan.frame_s:g} s the frequency lines are {lines[1]:g} Hz apart, and none "

@@ -159,7 +159,7 @@ def signals_of(
             axis.note = (
                 f"the times of column {strange!r} are not understood: {texts[strange][0][: cells.LONGEST_CELL]!r}"
             )
-    if missing:
+    if missing and axis.kind is AbscissaKind.NONE:
         axis.note = "; ".join(filter(None, (axis.note, f"times are missing in some rows of column {missing[0]!r}")))
     if axis.kind is AbscissaKind.NONE and rate_note:
         axis.note = "; ".join(filter(None, (axis.note, rate_note)))

@@ -664,5 +664,26 @@ def test_a_running_rig_that_ends_is_reported_to_its_tasks(tmp_path: Path, monkey
             assert board.read(tasks[0], 100, 100, 30.0, lambda: True).shape == (1, 100)
             processes.stop("rig")
             for _ in range(2):
-                with pytest.raises(DaqmxError, match="the rig is gone"):
+                with pytest.raises(DaqmxError, match="the running rig has ended or was restarted"):
                     board.read(tasks[0], 50 * rig.rate_hz, 50 * rig.rate_hz, 60.0, lambda: True)
+
+
+def test_an_error_of_the_rig_ends_waiting_tasks_and_leaves_what_was_read_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    board = Board(from_flat(RigConfig(), IDEAL))
+    with contextlib.closing(board), board.changed:
+        done, armed = board.create("done"), board.create("armed")
+        for one in (done, armed):
+            board.add_channels(one, "ai", "Dev1/ai1", "", (-10.0, 10.0), 1.0, "Volts")
+            board.configure_clock(one, RATE_HZ, 100, finite=True)
+        board.start(done)
+        board.wait_until_done(done, 30.0, lambda: True)
+        board.configure_trigger(armed, "/Dev1/ao/StartTrigger")
+        board.start(armed)
+        with monkeypatch.context() as broken:
+            broken.setattr(LocalRig, "step", _no_progress)
+            board.wait_until_done(armed, 30.0, lambda: True)
+        with pytest.raises(DaqmxError, match="the motion makes no progress"):
+            board.read(armed, 100, 100, 1.0, lambda: True)
+        assert board.read(done, 100, 100, 1.0, lambda: True).shape == (1, 100)

@@ -179,9 +179,9 @@ def test_an_underrun_does_not_hide_a_trip_in_the_same_tick():
 @pytest.mark.parametrize(
     ("first", "values", "says"),
     [
-        (0, [0.1, np.nan], r"got nan in row 1, counted from 0"),
+        (0, [0.1, np.nan], r"got nan A peak in row 1, counted from 0"),
         (0, [np.inf], r"each sample must have a current >= -21\.21 and <= 21\.21 A peak"),
-        (0, [0.1] * 99 + [22.0], r"a current >= -21\.21 and <= 21\.21 A .*, got 22 in row 99, counted from 0"),
+        (0, [0.1] * 99 + [22.0], r"a current >= -21\.21 and <= 21\.21 A .*, got 22 A peak in row 99, counted from 0"),
         (30_000, [0.1], r"3\.\d+ s ahead of the rig, beyond drive.stream_buffer_s = \d+ s: send"),
         (0, [[0.1]], "shape"),
     ],

@@ -116,7 +116,7 @@ def test_a_lost_block_is_a_difference(complete_run: Messages, tmp_path: Path) ->
         (lambda entry: entry if entry.sequence else None, "entry 0, counted from 0, is missing"),
         (lambda entry: None if entry.name == "frequency" else entry, "is missing"),
         (lambda entry: None, "no topic 'rig/journal'"),
-        (lambda entry: Remark(entry.line().replace('"sample": ', '"sample": -1'), entry.stamp_ns), "from 0 to 2**53"),
+        (lambda entry: Remark(entry.line().replace('"sample": ', '"sample": -1'), entry.stamp_ns), "from 0 to 2^53"),
     ],
     ids=["beginning", "middle", "none", "negative"],
 )

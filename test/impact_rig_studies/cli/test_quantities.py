@@ -63,12 +63,12 @@ def test_a_length_is_the_same_number_in_every_unit(text: str, value: float) -> N
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("0.6", "a length needs a unit after the number, e.g. 6mm or 0.006m, or none, got '0.6'"),
+        ("0.6", "a length needs a unit after the number, e.g. 6mm or 0.006m, or the word none, got '0.6'"),
         ("6", "a length needs a unit after the number"),
         ("0", "a length needs a unit after the number"),
         ("6kg", "the unit must be one of m, cm, mm, um"),
         ("6MM", "the unit must be one of"),
-        ("wide", "must be a number with its unit, e.g. 6mm, or none, got 'wide'"),
+        ("wide", "must be a number with its unit, e.g. 6mm, or the word none, got 'wide'"),
         ("nanmm", "must be a number"),
         ("inf", "must be a number"),
         ("6,5mm", "must be a number"),

@@ -155,7 +155,7 @@ def test_a_sweep_that_cannot_continue_reports_the_reason_and_stops_the_drive(swe
         words = "aborted: stopped by the operator"
     else:
         sweeping.command(frequency_hz=33.0)
-        words = "aborted: another client set 33 Hz and 0.52 A; only one client may command the drive"
+        words = "aborted: another client set 33 Hz and the amplitude 0.52; only one client may command the drive"
     sweeping.wait_until(lambda: status(sweeping) == words, words)
     assert sweeping.status("stepped_sine").level == b"\x02"
     sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")

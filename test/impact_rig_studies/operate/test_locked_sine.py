@@ -101,7 +101,8 @@ def test_a_locked_stretch_begins_when_the_setpoint_is_active() -> None:
     assert running.lock.measured == 0, "the command has not been confirmed"
     assert running.operator.busy
     running.run(3.0)
-    assert running.lock.reason == "the rig did not accept 8.9 Hz and 0.3 A within 5 s of rig time (accept_limit_s)"
+    wanted = "8.9 Hz and the amplitude 0.3"
+    assert running.lock.reason == f"the rig did not accept {wanted} within 5 s of rig time (accept_limit_s)"
     assert running.rested
 
 
@@ -111,7 +112,8 @@ def test_a_command_of_another_client_or_silence_ends_the_lock() -> None:
     running.run(2.0)
     running.rig.accept(frequency_hz=12.0)
     running.run(1.0)
-    assert running.lock.reason == "another client set 12 Hz and 0.3 A; only one client may command the drive"
+    found = "12 Hz and the amplitude 0.3"
+    assert running.lock.reason == f"another client set {found}; only one client may command the drive"
     silent = Running()
     silent.begin()
     silent.run(1.0)

@@ -109,7 +109,7 @@ def test_the_wait_for_a_measurement_is_bounded():
     one.start(0)
     assert one.on_time(2 * S) is None
     assert one.on_time(3 * S) == Setpoint(8.0, 0.0)
-    assert one.reason == "the rig did not accept 8 Hz and 0.5 A within 2 s of rig time (accept_limit_s)"
+    assert one.reason == "the rig did not accept 8 Hz and the amplitude 0.5 within 2 s of rig time (accept_limit_s)"
     one.start(0)
     one.on_applied(8.0, 0.5, S)
     assert one.on_time(31 * S) is None
@@ -130,7 +130,7 @@ def test_a_trip_or_a_command_of_another_client_ends_the_sweep():
     assert one.on_applied(8.0, 0.0, 0) is None, "the frequency is set first, then the current"
     one.on_applied(8.0, 0.5, 0)
     assert one.on_applied(8.5, 0.5, S) == Setpoint(8.0, 0.0)
-    assert one.reason == "another client set 8.5 Hz and 0.5 A; only one client may command the drive"
+    assert one.reason == "another client set 8.5 Hz and the amplitude 0.5; only one client may command the drive"
 
 
 @pytest.mark.parametrize(
