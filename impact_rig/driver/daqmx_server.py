@@ -579,7 +579,8 @@ def _value(request: Any, field: str) -> Any:
 
 def _name(request: Any, field: str, number: int) -> str:
     """Return name and number of an enumerator of NI's interface, for an error message; the number alone if unnamed."""
-    names = request.DESCRIPTOR.fields_by_name[field].enum_type  # None for a plain number
+    described = request.DESCRIPTOR.fields_by_name.get(field)  # None for a request that implies the property
+    names = described.enum_type if described else None  # None for a plain number
     found = names.values_by_number.get(number) if names else None
     return f"{found.name} ({number})" if found else str(number)
 

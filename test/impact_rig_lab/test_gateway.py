@@ -148,6 +148,7 @@ def test_other_actions_are_not_delayed_while_a_process_ends(monkeypatch: pytest.
         contextlib.closing(OwnedProcesses(processes, {})) as own,
     ):
         gateway = Gateway(client, RigView(), own)
+        gateway.record.knobs = {"drive.kind": "current"}
         monkeypatch.setattr(gateway, "_gone", lambda _: "")
 
         async def answer() -> str:

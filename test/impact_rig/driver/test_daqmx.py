@@ -683,7 +683,8 @@ def test_an_error_of_the_rig_ends_waiting_tasks_and_leaves_what_was_read_before(
         board.start(armed)
         with monkeypatch.context() as broken:
             broken.setattr(LocalRig, "step", _no_progress)
-            board.wait_until_done(armed, 30.0, lambda: True)
+            with pytest.raises(DaqmxError, match="the motion makes no progress"):
+                board.wait_until_done(armed, 30.0, lambda: True)
         with pytest.raises(DaqmxError, match="the motion makes no progress"):
             board.read(armed, 100, 100, 1.0, lambda: True)
         assert board.read(done, 100, 100, 1.0, lambda: True).shape == (1, 100)
