@@ -83,7 +83,7 @@ class Situation(enum.StrEnum):
     """Situation of a node, which decides the inputs that the node accepts.
 
     It is the lifecycle state of the node. For the rig node, the state `active` is divided into `RUNNING`, `PAUSED`,
-    `LATCHED` and `PLUCKED`.
+    `LATCHED` (the shaker is stopped until `~/clear_trip`) and `PLUCKED` (the base is locked).
     """
 
     UNCONFIGURED = "unconfigured"

@@ -177,9 +177,10 @@ def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int
     """Return the number of cycles after which a response repeats, and whether its amplitude repeats.
 
     The number is the smallest p from 1 to `longest` for which both amplitude and impacts repeat, or 0. The amplitude
-    repeats with p if the variance of ε_k within the classes k mod p is at most `limit`. The second value says whether
-    the amplitude repeats with any of these p. `deviation` are the real and imaginary parts of ε_k, shape (n, 2). ε_k
-    and `strikes` are described at `classify`.
+    repeats with p if the variance of ε_k within the classes k mod p is at most `limit`. The impacts repeat if most
+    cycles of a class have them at the same phases (`_strikes_repeat`). The second value says whether the amplitude
+    repeats with any of these p. `deviation` are the real and imaginary parts of ε_k, shape (n, 2). ε_k and `strikes`
+    are described at `classify`.
     """
     n, steady = deviation.shape[0], False
     for period in range(1, longest + 1):

@@ -117,7 +117,9 @@ def _square(value: float) -> float:
 
 
 def certificate(sensors: list[Sensor], adc: Adc, rate_hz: int, skews_s: list[float], ideal: bool) -> NDArray[np.void]:
-    """Return the calibration certificate, `blocks.DAQ_INFO` rows: all that an analysis may know about the instruments.
+    """Return the calibration certificate: all that an analysis may know about the instruments.
+
+    The result has one row of `blocks.DAQ_INFO` for each sensor, in scan order.
 
     Args:
         sensors: sensors in scan order.

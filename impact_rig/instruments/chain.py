@@ -406,7 +406,7 @@ class Chain:
         self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
-        """Return a channel's unfinished values, their clipping flags, their first scan, and the reading before them.
+        """Return values of a channel that are not digitised yet, their clipping flags, first scan, and the reading before.
 
         Values and flags are views into the buffers. The values are volts, or readings if the instruments are ideal. The
         reading before them is None at the start.

@@ -511,9 +511,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _secured(self) -> bool:
         """Write the received data to the file, so they survive this process; return whether they may be acknowledged.
 
-        The result is False if the run has failed or has lost a message of the rig. It is also False in real time for
-        `REPEATED_S` seconds after this process was suspended or too slow. In this time, messages that the middleware
-        lost may still arrive.
+        The result is False if the run has failed, as by an error of this write, or has lost a message of the rig. It is
+        also False in real time for `REPEATED_S` seconds after this process was suspended or too slow. In this time, the
+        middleware may send messages again that did not arrive.
         """
         if self._writer is not None:
             try:

@@ -389,7 +389,11 @@ class _RigScans:
 
 
 class _Tally:
-    """Counts over the messages of a run: figures of each topic, and blocks, rates and starts of each rig."""
+    """Counts over the messages of a run.
+
+    For each topic they are number, size, first and last time of its messages, for each rig its blocks of scans, scan
+    rates and starts (stamps of scan 0).
+    """
 
     def __init__(self, run: Run) -> None:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}

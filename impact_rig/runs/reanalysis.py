@@ -115,8 +115,9 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """Return the last settings of the live analysis in a run, and the gap labels that the live analysis has published.
 
     If no live analysis was recorded, the settings are the defaults, and the labels are those in the operator's remarks.
-    If the settings of two analyses alternate, the list of labels is empty, because the source of each label is unknown.
-    Call this before the scans are analysed, because a label may be recorded after the scan from which it applies.
+    If the settings of two analyses alternate, the result has the settings that were published last, and no labels,
+    because the source of each label is unknown. Call this before the scans are analysed, because a label may be
+    recorded after the scan from which it applies.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]

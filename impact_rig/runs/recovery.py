@@ -291,7 +291,7 @@ class FileReport:
 
     @property
     def messages(self) -> int:
-        """Number of messages recovered from the file and its tail."""
+        """Number of messages recovered from the file and its tail, the file with the messages of its open chunk."""
         return self._found.count
 
     @property

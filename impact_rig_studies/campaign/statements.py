@@ -272,9 +272,9 @@ class Variation:
 def variations(points: Sequence[Point]) -> list[Variation]:
     """Judge the statements for every rig among a campaign's points, the reference rig first.
 
-    Only points after a reset of the rig, at a current of the reference rig, are used. Rigs for which no statement can
-    be judged are left out. So is a rig that differs from the reference rig if its study has no further axis. If fewer
-    than two rigs are left, the list is empty.
+    Only points after a reset of the rig are used, at a current at which the reference rig was measured, too. A rig that
+    differs from the reference rig without an axis that names the difference is left out. So are rigs for which no
+    statement can be judged. If fewer than two rigs are left, the list is empty.
     """
     currents = {point.current_a for point in points if point.reference}
     rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}

@@ -455,7 +455,7 @@ def at(place: Place, over: str, value: float) -> Place:
 
 
 def _longest_flight(motion: Motion, cycles: int) -> float:
-    """Return the phase of the drive that is best suited as a section of a motion, in turns after its start.
+    """Return the phase of the drive that is best suited as a section of a motion, in turns since the motion's start.
 
     This phase is the middle of the longest part of the drive cycle in which the sphere touches no wall in any of the
     cycles. It is 0 if there are no contacts.

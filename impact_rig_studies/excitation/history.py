@@ -76,10 +76,10 @@ class ReplicatePlan:
         enough: error at or below which the trials end: rms error over rms of the requested history.
         rest_s: time before and after the history in each trial [s]; its outer half is without drive.
         identify_rms: rms of the drive while the response function is measured [A].
-        identify_s: time by which a frame of that measurement is longer than a trial without a burst [s]; four frames
+        identify_s: length of a frame of that measurement minus the length of a trial without a burst [s]; four frames
             are played.
-        burst_s: duration of the burst before each trial [s], at least 1; at most `identify_s` is used. There is a burst
-            only if equal trials differ without one.
+        burst_s: duration of the burst before each trial [s], at least 1; at most `identify_s` is used. The burst brings
+            the sphere into the same motion before each trial. It is played only if equal trials differ without one.
         response: response that follows the history, one of `Response` except `BASE_ACCELERATION`, which has no sensor.
         seed: seed of the random phases of the drive while the response function is measured.
     """

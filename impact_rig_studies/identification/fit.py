@@ -549,10 +549,11 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Add a fit in the middle of the interval of e in which the probability changes most.
+        """Add a fit in the middle of the interval of e in which the probability density changes most.
 
-        The fit is added to `held`, which contains the fits by their e. Returns True if a fit was added. Returns False
-        if the change of the probability is small enough (`KNOWN`) or the fit has failed.
+        e is the coefficient of restitution. The fit is added to `held`, which contains the fits by their e. Returns
+        True if a fit was added. Returns False if the change of the probability density is small enough (`KNOWN`) or the
+        fit has failed.
         """
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])

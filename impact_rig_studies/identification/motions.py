@@ -48,7 +48,7 @@ fewer.
 
 
 class SettledMotion(NamedTuple):
-    """Settled motion of a simulated rig with its sphere: ln(DT with the sphere / DT without), and how it repeats."""
+    """Settled motion of a simulated rig with its sphere: ln(DT with the sphere / DT without), regime and period."""
 
     log_ratio: float  # ln(DT with sphere / DT without)
     u: float  # standard uncertainty of log_ratio as the mean of an irregular motion; 0 for a motion that repeats

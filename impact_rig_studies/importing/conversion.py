@@ -317,9 +317,10 @@ def _calibration(
 ) -> tuple[NDArray[np.void], dict[str, tuple[str, ...]]]:
     """Return rows of `daq/info` for the channels, and the columns that were estimated from the data, by channel.
 
-    The mapping takes precedence over the table of calibration (`sheet`). Resolution and skew that neither states are
-    estimated from the signals. Any other property that neither states is ideal: no error, no delay, an unlimited range.
-    The rate counts as estimated unless the mapping states a rate.
+    The mapping takes precedence over the table of calibration (`sheet`). If neither states them, the resolution is that
+    of `steps`, and the skew that of `skews` [s]; both were estimated from the signals, by channel. Any other property
+    that neither states is ideal: no error, no delay, an unlimited range. `si_units` are the units of the converted
+    channels. The rate counts as estimated unless the mapping states a rate.
 
     Raises:
         ConfigError: the lower end of a channel's range is not below the upper end.
