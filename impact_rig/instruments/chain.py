@@ -406,10 +406,10 @@ class Chain:
         self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
-        """Return values of a channel that are not digitised yet, their clipping flags, first scan, and the reading before.
+        """Return a channel's values that are not digitised yet, their clipping flags, first scan, and last reading.
 
         Values and flags are views into the buffers. The values are volts, or readings if the instruments are ideal. The
-        reading before them is None at the start.
+        last reading is the one before these values, None at the start.
         """
         row = self._channels[channel]
         part = slice(int(row["finished"]), int(row["filled"]))
