@@ -135,10 +135,11 @@ LINT = $(VENV)/bin/mypy && $(VENV)/bin/lint-imports && $(VENV)/bin/python -m too
 # The slow part of lint runs next to the tests, because alone it would use one core only. What it rejects is printed last.
 check: $(TEST) kernels ## quick checks after an edit: style, types, layers, tests without processes, browser and ROS
 	@begin=$$(date +%s); $(STYLE) || exit; \
-	    said=$$(mktemp); $$(command -v setsid) sh -c '$(LINT)' > $$said 2>&1 & lint=$$!; \
-	    trap 'kill -- -$$lint 2> /dev/null || kill $$lint 2> /dev/null; rm -f $$said' EXIT; trap 'exit 130' INT TERM; \
+	    said=$$(mktemp); $$(command -v setsid) sh -c '$(LINT)' > $$said 2>&1 & lint=$$!; trap 'rm -f $$said' EXIT; \
+	    trap 'kill -- -$$lint 2> /dev/null || kill $$lint; exit 130' INT TERM; \
 	    $(VENV)/bin/python -m pytest $(PYTEST_PLUGINS_USED) -q -n 2 $(BY_FILE) --check $(ARGS); tests=$$?; \
-	    wait $$lint; lint=$$?; [ $$lint = 0 ] || cat $$said; [ $$tests = 0 ] && [ $$lint = 0 ] $(if $(MEASURED),&& $(call note,check_s))
+	    wait $$lint; found=$$?; [ $$found = 0 ] || cat $$said; \
+	    [ $$tests = 0 ] && [ $$found = 0 ] $(if $(MEASURED),&& $(call note,check_s))
 
 lint: $(TEST) kernels ## check style, types, layers and prose
 	@$(STYLE) && $(LINT)
