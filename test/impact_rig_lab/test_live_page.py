@@ -599,7 +599,7 @@ def test_motion_too_fast_to_follow_is_not_drawn(lab: Lab, page: Page) -> None:
     listeners = lab.client.node.count_subscribers("daq/scan")
     lab.client.set_parameters("rig", {"time.factor": 6.0})
     page.wait("document.getElementById('rig-note').textContent.includes('not drawn')", "the page to say so", 60)
-    assert page.js("lab.motion.states.length") == 0
+    page.wait("lab.motion.states.length === 0", "the end of what was sent before")
     lab.until(lambda: lab.client.node.count_subscribers("truth/joint_states") == 0, "the end of the last subscription")
     begin = lab.source.now_s
     for here in (0, -1, 0):
