@@ -380,9 +380,8 @@ def header_stamp_ns(data: Buffer) -> int:
         raise CodecError(f"a message with a header has at least {_HEADER.size} bytes, got {len(data)}")
     encapsulation, seconds, nanoseconds = _BEGINNING.unpack_from(data)
     if encapsulation != _LITTLE_ENDIAN:
-        if encapsulation == _BIG_ENDIAN:
-            raise CodecError("encapsulation must be 00 01 (little-endian CDR), got 00 00 (big-endian CDR)")
-        raise CodecError(f"encapsulation must be 00 01 (little-endian CDR), got {encapsulation.hex(' ')}")
+        kind = " (big-endian CDR)" if encapsulation == _BIG_ENDIAN else ""
+        raise CodecError(f"encapsulation must be 00 01 (little-endian CDR), got {encapsulation.hex(' ')}{kind}")
     if nanoseconds >= NS_PER_S:
         raise CodecError(f"nanoseconds of the stamp must be < {NS_PER_S}, got {nanoseconds}")
     stamp: int = seconds * NS_PER_S + nanoseconds

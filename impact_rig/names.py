@@ -94,6 +94,13 @@ def quoted(value: object) -> str:
     return shown if len(shown) <= LONGEST_QUOTE else f"{shown[:LONGEST_QUOTE]}..."
 
 
+def yaml_quoted(value: object) -> str:
+    """Return a value of a YAML file as text for an error message: `nothing`, `true` or `false`, else as `quoted`."""
+    if value is None:
+        return "nothing"
+    return str(value).lower() if isinstance(value, bool) else quoted(value)
+
+
 def _plain(value: object) -> object:
     """Convert NumPy scalars, also in nested lists or tuples, to Python values; return any other value unchanged."""
     if isinstance(value, (list, tuple)) and type(value) in (list, tuple):

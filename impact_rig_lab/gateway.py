@@ -597,9 +597,9 @@ class Gateway:
                 and is not driven by a current.
         """
         amplitude = (self.record.drive or {"current": 0.0})["current"]
-        if not amplitude and self._published_knobs()[KIND] != "current":
+        if not amplitude and (kind := self._published_knobs()[KIND]) != "current":
             raise Refused(
-                f"{KIND} is {self.record.knobs[KIND]}, for which a sweep has no default amplitude: set the amplitude "
+                f"{KIND} is {kind}, for which a sweep has no default amplitude: set the amplitude "
                 "first, then start the sweep"
             )
         was_there = self.seen(SWEEPER).lives

@@ -117,7 +117,7 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     for key, present, needed in (("drive.kind", drive.kind, "current"), ("drive.waveform", drive.waveform, "sine")):
         if present != needed:
             raise ConfigError(
-                f"{arguments.config}: {key} must be {needed}, as this command records only sine drives of the current, "
+                f"{arguments.config}: {key} must be {needed}, because this command drives the rig with a sine current, "
                 f"got {present}"
             )
     arguments.frequency = FREQUENCY_HZ if arguments.frequency is None else arguments.frequency

@@ -33,7 +33,7 @@ import attrs
 import yaml
 
 from impact_rig.errors import ConfigError
-from impact_rig.names import quoted
+from impact_rig.names import yaml_quoted
 
 S = TypeVar("S", bound="attrs.AttrsInstance")
 METADATA_KEY = "impact_rig"
@@ -142,11 +142,9 @@ def describe_fields(section: type[S]) -> type[S]:
 
 
 def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigError:
-    if value is None or isinstance(value, bool):  # as in YAML
-        got = "nothing" if value is None else str(value).lower()
-    else:
-        got = quoted(value) + (info(attribute).unit_text if isinstance(value, (int, float)) else "")
-    return ConfigError(f"{attribute.name} must be {rule}, got {got}")
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    unit = info(attribute).unit_text if is_number else ""
+    return ConfigError(f"{attribute.name} must be {rule}, got {yaml_quoted(value)}{unit}")
 
 
 def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:

@@ -274,7 +274,7 @@ class Board:
         self.devices = devices
         self._config = from_flat(config, {"drive.waveform": "stream", "drive.stream_wait": False})
         self._rig = self._fixed = rig
-        self._check: Callable[[], None] | None = None  # of `_check_rig`
+        self._check_running: Callable[[], None] = (lambda: None) if rig is None else rig.watch()
         self._epoch = 0.0
         self._ended = False
         self._named = 0
@@ -789,7 +789,12 @@ class Board:
         """
         if rig.runs_by_itself:
             rig.poll()
-            self._check_rig(rig)
+            try:
+                self._check_running()
+            except GoneError as error:  # tasks count samples from the start of that rig
+                raise GoneError(
+                    "the running rig has ended or was restarted: start a rig, then impact-rig daqmx again"
+                ) from error
             self._after_block(rig)
             return
         behind_s = time.monotonic() - self._epoch - rig.time_s
@@ -798,16 +803,6 @@ class Board:
         for _ in range(int(behind_s * rig.rate_hz / rig.block_scans)):
             rig.step()
             self._after_block(rig)  # after each block, so that a busy machine causes no underrun
-
-    def _check_rig(self, rig: RigDriver) -> None:
-        """Raise a GoneError if the rig that ran at the first call is gone or was restarted."""
-        try:
-            self._check = self._check or rig.watch()
-            self._check()
-        except GoneError as error:  # tasks count samples from the start of that rig
-            raise GoneError(
-                "the running rig has ended or was restarted: start a rig, then impact-rig daqmx again"
-            ) from error
 
     def _after_block(self, rig: RigDriver) -> None:
         rig.clear()

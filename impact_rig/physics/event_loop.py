@@ -319,7 +319,7 @@ def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, 
 
 @kernel
 def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> bool:
-    """Complete a contact that has just begun by its outcome in the law's table; return whether that was possible.
+    """Complete a contact that has just started by its outcome in the law's table; return whether that was possible.
 
     If the result is false, the state is unchanged, and the caller must integrate the contact. The loss in the contact
     comes from the table. If `account`, a copy of the state is also integrated to compute the drive's work and the

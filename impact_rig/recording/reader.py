@@ -691,6 +691,18 @@ def _listed_files(directory: Path) -> list[str]:
         raise RecordingError(f"cannot parse {path}: {error}; {_WITHOUT_METADATA}") from error
 
 
+def _decompressed(chunk: mcap_records.Chunk, size: int) -> memoryview:
+    """Return the decompressed records of a chunk.
+
+    Raises:
+        DamageError: the chunk is damaged, or does not state the decompressed `size` that the index states.
+        BudgetError: the chunk is larger than any record that may be read.
+    """
+    if chunk.uncompressed_size != size:
+        raise DamageError(f"it states a decompressed size of {chunk.uncompressed_size} bytes, the index {size} bytes")
+    return records.decompress(chunk)
+
+
 def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) -> bool:
     if names is None or not segment.channels:  # the channels are unknown
         return True
@@ -862,11 +874,7 @@ class McapSource:
                 return memoryview(os.pread(self._fd, segment.length, segment.offset))
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
-            if chunk.uncompressed_size != segment.size:
-                raise DamageError(  # noqa: TRY301  # the path is added below
-                    f"it states a decompressed size of {chunk.uncompressed_size} bytes, the index {segment.size} bytes"
-                )
-            return records.decompress(chunk)
+            return _decompressed(chunk, segment.size)
         except DamageError as error:
             where = f"{self.path}: the chunk at byte {segment.offset} is damaged"
             raise DamageError(f"{where}: {error}; {_REMEDY}") from error

@@ -166,7 +166,7 @@ class JournalEntry:
             content["value"] = _float("value", content["value"])
         if kind in _NEED_VALUE and "value" not in content:
             raise ConfigError(f"an entry of kind {kind.value} needs a value")
-        for member, high, shown in (("sequence", _LARGEST, "2^53"), ("sample", _LARGEST, "2^53"), _STAMP_RANGE):
+        for member, high, shown in _RANGES:
             if not 0 <= content[member] <= high:
                 raise ConfigError(f"its member {member} must be from 0 to {shown}, got {quoted(content[member])}")
         if (fault is not None) != (kind is InputKind.FAULT):
@@ -182,7 +182,7 @@ _MEMBERS: dict[str, tuple[type, ...]] = {
 _OF_FAULT = {field.name for field in attrs.fields(Fault)} - {"start_sample"}  # it starts at the entry's sample
 _NEED_VALUE = (InputKind.COMMAND, InputKind.PLUCK, InputKind.TRIP, InputKind.STREAM)
 _LARGEST = 2**53
-_STAMP_RANGE = ("stamp_ns", 2**63 - 1, "2^63 - 1")
+_RANGES = (("sequence", _LARGEST, "2^53"), ("sample", _LARGEST, "2^53"), ("stamp_ns", 2**63 - 1, "2^63 - 1"))
 _JSON_NAMES: dict[type, str] = {
     bool: "true or false", int: "an integer", float: "a number", str: "a text", tuple: "a list of texts",
     dict: "an object",

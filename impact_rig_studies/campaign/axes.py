@@ -27,7 +27,7 @@ import attrs
 
 from impact_rig.config.tree import Value, flatten
 from impact_rig.errors import ConfigError
-from impact_rig.names import quoted
+from impact_rig.names import yaml_quoted
 from impact_rig.rig.config import RigConfig, from_flat, load_config
 from impact_rig.rig.gaps import NO_SPHERE
 
@@ -40,7 +40,7 @@ _DIGITS = 12  # digits of the values of a range, so that 9.00, 9.01, ... are exa
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:
     """Create the error "KEY must be RULE, got VALUE", for the caller to raise."""
-    return ConfigError(f"{key} must be {rule}, got {'nothing' if value is None else quoted(value)}")
+    return ConfigError(f"{key} must be {rule}, got {yaml_quoted(value)}")
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
@@ -145,7 +145,7 @@ def values(key: str, value: object) -> list[object]:
             raise wrong(f"{key}[{i}]", "one value", item)
         same = isinstance(item, bool), item  # 1 and true are equal in Python
         if same in known:
-            raise ConfigError(f"{key} must not repeat a value, got {'null' if item is None else quoted(item)} twice")
+            raise ConfigError(f"{key} must not repeat a value, got {yaml_quoted(item)} twice")
         known.add(same)
     return items
 

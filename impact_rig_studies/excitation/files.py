@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
-from impact_rig.names import quoted
+from impact_rig.names import yaml_quoted
 from impact_rig.recording import open_run
 from impact_rig.runs.excerpts import calibration_rows
 from impact_rig.system import budget
@@ -70,7 +70,7 @@ def read(document: object, kind: type[P]) -> P:
     """
     fields = {one.name: one for one in attrs.fields(kind)}
     if not isinstance(document, dict):
-        shown = "nothing" if document is None else repr(str(document)[:60])
+        shown = yaml_quoted(document)[:60]
         raise ConfigError(f"a mapping is needed, with keys from {', '.join(fields)}; got {shown}")
     values: dict[str, object] = {}
     for key, value in document.items():
@@ -87,7 +87,7 @@ def read(document: object, kind: type[P]) -> P:
 
 
 def _value(key: str, value: object, kind: object) -> object:
-    shown = "nothing" if value is None else quoted(value)[:60]
+    shown = yaml_quoted(value)[:60]
     if kind == "Spectrum":
         try:
             found = read(value, Spectrum)

@@ -47,7 +47,7 @@ from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import ConfigError
 from impact_rig_studies.excitation.response import Response, complete
-from impact_rig_studies.excitation.signals import PSEUDO, SHORTEST, Excitation
+from impact_rig_studies.excitation.signals import PSEUDO, Excitation, check_duration
 
 LEAST_GAIN = 0.2  # gain below which a correction is given up
 
@@ -170,11 +170,7 @@ def replicate(
     rate_hz = hardware.rig.stream_rate_hz
     lead = round(plan.rest_s * rate_hz)
     played = len(asked) + 2 * lead
-    if round(plan.identify_s * rate_hz) < SHORTEST:
-        raise ConfigError(
-            f"identify_s must be at least {SHORTEST / rate_hz:g} s, {SHORTEST} samples at {rate_hz} Hz, got "
-            f"{plan.identify_s:g}"
-        )
+    check_duration("identify_s", plan.identify_s, rate_hz)
     length = played + round(plan.identify_s * rate_hz)
     target = np.zeros(length)
     history = slice(lead, lead + len(asked))

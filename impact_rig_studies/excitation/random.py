@@ -31,7 +31,7 @@ from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig_studies.excitation.response import Response, complete
-from impact_rig_studies.excitation.signals import SHORTEST
+from impact_rig_studies.excitation.signals import check_duration
 
 MOST_STEP_DB = 6.0  # largest change of the drive's density at a line in one loop
 # lower limit of the drive's density at a line relative to the largest, so that no line is lost for good
@@ -181,12 +181,8 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
+    check_duration("frame_s", plan.frame_s, rate_hz)
     length = 2 * round(plan.frame_s * rate_hz / 2)
-    if length < SHORTEST:
-        raise ConfigError(
-            f"a frame must have at least {SHORTEST} samples at {rate_hz} Hz, got {length}: raise frame_s, now "
-            f"{plan.frame_s:g} s"
-        )
     lines: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     asked = plan.spectrum.at(lines)
     band = asked > 0.0

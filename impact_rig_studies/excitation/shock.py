@@ -34,9 +34,8 @@ import scipy
 
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Hardware
-from impact_rig.errors import ConfigError
 from impact_rig_studies.excitation.history import ABOVE, Replicated, ReplicatePlan, replicate
-from impact_rig_studies.excitation.signals import SHORTEST
+from impact_rig_studies.excitation.signals import check_duration
 
 
 @attrs.frozen(kw_only=True)
@@ -60,17 +59,14 @@ class Pulse:
         Raises:
             ConfigError: the half sine or a compensating pulse has fewer than `SHORTEST` samples.
         """
-        on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
-        if min(on, beside) < SHORTEST:
-            name, value = ("duration_s", self.duration_s) if on < SHORTEST else ("compensation_s", self.compensation_s)
-            raise ConfigError(
-                f"{name} must be at least {SHORTEST / rate_hz:g} s, {SHORTEST} samples at {rate_hz} Hz, got {value:g} s"
-            )
+        check_duration("duration_s", self.duration_s, rate_hz)
+        check_duration("compensation_s", self.compensation_s, rate_hz)
+        on, around = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
         pulse = self.peak * np.sin(np.pi * (np.arange(on) + 0.5) / on)
-        hill = np.sin(np.pi * (np.arange(beside) + 0.5) / beside) ** 2
-        before, after = np.zeros(on + 2 * beside), np.zeros(on + 2 * beside)
-        whole = np.zeros(on + 2 * beside)
-        before[:beside], after[-beside:], whole[beside : beside + on] = hill, hill, pulse
+        hill = np.sin(np.pi * (np.arange(around) + 0.5) / around) ** 2
+        before, after = np.zeros(on + 2 * around), np.zeros(on + 2 * around)
+        whole = np.zeros(on + 2 * around)
+        before[:around], after[-around:], whole[around : around + on] = hill, hill, pulse
         sums = np.array([[one.sum(), one.cumsum().sum()] for one in (before, after)]).T
         low = np.linalg.solve(sums, [-whole.sum(), -whole.cumsum().sum()])
         return np.asarray(whole + low[0] * before + low[1] * after)

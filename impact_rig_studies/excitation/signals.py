@@ -27,7 +27,15 @@ if TYPE_CHECKING:
 
 BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
 MOST_SAMPLES = 50_000_000  # maximum number of samples of an excitation, which are in memory at once
-SHORTEST = 4  # minimum number of samples of a frame, or of the burst in it
+SHORTEST = 4  # minimum number of samples of a frame, a burst or a pulse
+
+
+def check_duration(name: str, seconds: float, rate_hz: int) -> None:
+    """Raise a ConfigError that begins with `name` if a duration has fewer than `SHORTEST` samples at the rate."""
+    if round(seconds * rate_hz) < SHORTEST:
+        raise ConfigError(
+            f"{name} must be at least {SHORTEST / rate_hz:g} s, {SHORTEST} samples at {rate_hz} Hz, got {seconds:g} s"
+        )
 
 
 @attrs.frozen(kw_only=True)
@@ -66,6 +74,7 @@ class Excitation:
         import numpy as np  # noqa: PLC0415  # the help of commands needs the settings alone
         import scipy  # noqa: PLC0415  # as above
 
+        check_duration("frame_s", self.frame_s, rate_hz)
         length, random = round(self.frame_s * rate_hz), np.random.default_rng(self.seed)
         budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
         if not self.low_hz < self.high_hz < 0.5 * rate_hz:
@@ -74,16 +83,9 @@ class Excitation:
                 if self.low_hz < self.high_hz
                 else f"low_hz must be < high_hz = {self.high_hz:g} Hz, got {self.low_hz:g} Hz"
             )
-        on = round(self.burst * length) if self.kind == BURST else length
-        if on < SHORTEST:
-            what, more = (
-                ("the burst of a frame", f", or burst, now {self.burst:g}") if self.kind == BURST else ("a frame", "")
-            )
-            raise ConfigError(
-                f"{what} must have at least {SHORTEST} samples at {rate_hz} Hz, got {on}: raise frame_s, now "
-                f"{self.frame_s:g} s{more}"
-            )
         if self.kind == BURST:
+            check_duration("burst * frame_s", self.burst * self.frame_s, rate_hz)
+            on = round(self.burst * length)
             sections = scipy.signal.butter(4, (self.low_hz, self.high_hz), "bandpass", fs=rate_hz, output="sos")
             fade = scipy.signal.windows.tukey(on, 0.1)
             frames = np.zeros((self.frames, length))

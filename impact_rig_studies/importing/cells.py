@@ -27,11 +27,6 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.importing.signals import Real
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,4})?", re.ASCII)
-_PLAIN = re.compile(
-    r"(?:(?=[^\n]{1,64}\n)[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,4})?\n)+",  # 64: LONGEST_CELL
-    re.ASCII,
-)
-"""Pattern of lines that each contain a number without groups of digits, which Python's `float` reads."""
 _NOT_A_NUMBER = frozenset({
     "", "qnan", "snan", "n/a", "na", "<na>", "nat", "null", "nil", "none", "missing",
     "#n/a", "#nv", "#value!", "#div/0!", "#num!", "#wert!", "#ref!", "#bezug!", "#name?",
@@ -56,6 +51,10 @@ _UNCLEAR = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}", re.ASCII)  # 1,234 or 1.2
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
 DIGITS_IN_GROUP = 3
 LONGEST_CELL = 64
+_PLAIN = re.compile(
+    rf"(?:(?=[^\n]{{1,{LONGEST_CELL}}}\n)[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{{1,4}})?\n)+", re.ASCII
+)
+"""Pattern of lines that each contain a number without groups of digits, which Python's `float` reads."""
 
 
 def number(cell: str, decimal: str = ".") -> float | None:

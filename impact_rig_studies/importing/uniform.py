@@ -89,11 +89,12 @@ def aligned(
         steps = np.diff(times[name])
         increase = len(steps) > 0 and float(steps.min()) > 0.0
         if not increase or float(steps.max()) > HOLE * float(np.median(steps)):
-            why = "it has fewer than 2 values"
-            if len(steps):
-                why = f"its times do not increase at value {int(np.argmin(steps)) + 2} of {len(steps) + 1}"
             if increase:
                 why = f"its times have a hole of {float(steps.max()):.4g} s"
+            elif len(steps):
+                why = f"its times do not increase at value {int(np.argmin(steps)) + 2} of {len(steps) + 1}"
+            else:
+                why = "it has fewer than 2 values"
             raise ConfigError(f"{path}: {name} cannot be resampled: {why}; leave it out (--channel {name}=)")
         _require_finite(path, name, found[name])
     densest = min(times.values(), key=lambda one: float(np.median(np.diff(one))))

@@ -144,8 +144,8 @@ def test_a_controller_plays_a_file_to_a_running_rig(bench: Bench, tmp_path: Path
     recorder.signal(signal.SIGSTOP)  # it cannot be found meanwhile, and must not miss the first samples
     with subprocess.Popen([*program, *words], env=environment, stdout=PIPE, stderr=PIPE, text=True) as playing:
         try:
-            present = lambda: bench.client.node.count_publishers("shaker/waveform")  # noqa: E731  # asked repeatedly
-            bench.wait(lambda: present() or playing.poll() is not None, "the player")
+            node = bench.client.node
+            bench.wait(lambda: node.count_publishers("shaker/waveform") or playing.poll() is not None, "the player")
             assert playing.poll() is None, playing.communicate()
             bench.client.spin_for(1.0)
             recorder.signal(signal.SIGCONT)

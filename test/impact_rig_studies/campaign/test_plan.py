@@ -97,7 +97,7 @@ def test_the_reference_is_the_first_rig_of_the_first_study(write):
         (study(frequencies_hz="[]"), "studies.s.frequencies_hz must be a list of 1 to"),
         (study(frequencies_hz="[9.1, fast]"), "studies.s.frequencies_hz[1] must be a number, got 'fast'"),
         (study(frequencies_hz="[9.1, 500]"), "studies.s.frequencies_hz must be >= 5 and <= 200 Hz, got 500"),
-        (study(frequencies_hz="[1, true]"), "studies.s.frequencies_hz[1] must be a number, got True"),
+        (study(frequencies_hz="[1, true]"), "studies.s.frequencies_hz[1] must be a number, got true"),
         (study(frequencies_hz="[9.1, 9.1]"), "must not repeat a value, got 9.1 twice"),
         (study(frequencies_hz="9.1", gaps_m="[none, null]"), "must not repeat a value, got 'none' and null"),
         (study(frequencies_hz="{from: 9, to: 8, step: 1}"), "frequencies_hz.to must be >= from = 9, got 8"),
